@@ -17,13 +17,12 @@ from pepperscene.camera.colorimetry import (
     XYZ_TO_SRGB,
     bradford_adaptation,
     cie_1931_observer,
-    colour_correction,
     d65_spectrum,
     srgb_decode,
     srgb_encode,
-    white_balance_gains,
     xyz_to_lab,
 )
+from pepperscene.camera.colour_correction import colour_correction, white_balance_gains
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, photopic_efficiency, read_spectra
 
@@ -99,8 +98,8 @@ def test_corrections_keep_white_and_differ_between_flash_and_daylight():
     for correction in (flash, daylight):
         np.testing.assert_allclose(correction.matrix.sum(axis=1), 1)
         assert min(correction.gains) == 1
-    # A cool white LED has less red for its green than daylight, so red needs more gain.
-    assert flash.gains[0] > daylight.gains[0] * 1.05
+    # A phosphor LED has no violet and a gap around 480 nm, so blue needs more gain than in daylight.
+    assert flash.gains[2] > daylight.gains[2] * 1.05
 
 
 def test_raises_if_a_colour_does_not_see_the_light():
@@ -139,7 +138,8 @@ def test_illuminance_and_correction_do_not_import_colour_science():
     code = (
         "import sys; from pepperscene.camera import load_sensor\n"
         "from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum())\n"
-        "from pepperscene.camera.colorimetry import colour_correction, d65_spectrum\n"
+        "from pepperscene.camera.colorimetry import d65_spectrum\n"
+        "from pepperscene.camera.colour_correction import colour_correction\n"
         "correction = colour_correction(load_sensor('ueye_ui5250re'), d65_spectrum())\n"
         "assert 'colour' not in sys.modules\n"
         "assert 0 < correction.mean_delta_e_2000 < 10 and 'colour' in sys.modules\n"

@@ -11,6 +11,7 @@ import pytest
 from pepperscene.camera import (
     Camera,
     Developing,
+    add_pedestal,
     camera_rgb,
     correct_colours,
     decode_tone,
@@ -20,6 +21,7 @@ from pepperscene.camera import (
     load_flash,
     load_lens,
     load_sensor,
+    pedestal,
     relative_illumination,
 )
 
@@ -174,3 +176,71 @@ def test_decoding_keeps_shapes_clips_and_returns_a_new_array():
     np.testing.assert_array_equal(decode_tone([[-1.0, 256.0]]), [[0.0, 1.0]])
     decode_tone(CODES)[:] = 7.0
     assert decode_tone(CODES).max() == 1.0
+
+
+BLACK = replace(CAMERA, sensor=replace(SENSOR, columns=200, rows=150))
+
+
+def black_codes(camera):
+    """`(n, 3)` codes of unlit pixels with noise."""
+    electrons = np.zeros((camera.height, camera.width, camera.sensor.channels))
+    return develop(electrons, camera, np.random.default_rng(4)).reshape(-1, 3).astype(float)
+
+
+def lifted(camera, value):
+    return replace(camera, developing=replace(camera.developing, pedestal=value))
+
+
+@pytest.mark.parametrize("name", ["ueye_ui5250re", "generic_rgb", "nikon_d5100", "onsemi_mt9v024"])
+@pytest.mark.parametrize("white_balance", ["flash", "daylight"])
+def test_automatic_pedestal_makes_black_neutral(name, white_balance):
+    sensor = load_sensor(name)
+    camera = replace(BLACK, sensor=replace(sensor, columns=200, rows=150))
+    camera = replace(camera, developing=Developing(white_balance=white_balance))
+    means = black_codes(lifted(camera, "auto")).mean(axis=0)
+    # 30,000 pixels of a deviation below 20 codes: 0.12 in the mean, and 1 for the choice of the pedestal.
+    assert np.ptp(means) < 1.4
+    # Not brighter than needed: the mean light of black is that of the pedestal and of less noise than before.
+    light = decode_tone(black_codes(lifted(camera, "auto"))).mean(axis=0)
+    assert (
+        light.max() < pedestal(lifted(camera, "auto")) + decode_tone(black_codes(camera)).mean(axis=0).max()
+    )
+
+
+def test_black_is_coloured_without_a_pedestal():
+    assert np.ptp(black_codes(BLACK).mean(axis=0)) > 4
+
+
+def test_pedestal_lifts_black_keeps_white_and_is_invertible():
+    camera = replace(CAMERA, developing=Developing(pedestal=0.1, quantise=False, tone="linear"))
+    assert np.all(np.abs(develop(uniform(0), camera) - 255 * 0.1 / 1.1) <= 0.5 + 1e-4)
+    assert np.all(develop(white_under_flash(1.0), camera) == 255)
+    rgb = camera_rgb(white_under_flash(0.3), camera)
+    light = correct_colours(rgb, camera)
+    p = pedestal(camera)
+    np.testing.assert_allclose((1 + p) * add_pedestal(light, camera) - p, light, atol=1e-6)
+
+
+def test_automatic_pedestal_is_the_noise_of_black_and_0_without_noise():
+    camera = lifted(CAMERA, "auto")
+    linear = correct_colours(
+        camera_rgb(
+            np.zeros((150, 200, 3)), replace(BLACK, developing=camera.developing), np.random.default_rng(5)
+        ),
+        camera,
+    )
+    assert pedestal(camera) == pytest.approx(0.7 * linear.std(axis=(0, 1)).max(), rel=0.03)
+    # Twice the gain shows twice the read noise.
+    doubled = replace(camera, sensor=SENSOR.with_settings(gain=2.0, bits=16))
+    single = replace(camera, sensor=SENSOR.with_settings(bits=16))
+    assert pedestal(doubled) == pytest.approx(2 * pedestal(single), rel=1e-3)
+    silent = replace(CAMERA, developing=Developing(pedestal="auto", read_noise=False, quantise=False))
+    assert pedestal(silent) == 0.0
+    mono = replace(load_sensor("onsemi_mt9v024_mono"), columns=40, rows=30)
+    assert pedestal(replace(camera, sensor=mono)) == 0.0
+
+
+@pytest.mark.parametrize("value", [-0.01, 0.26, float("nan")])
+def test_raises_on_invalid_pedestal(value):
+    with pytest.raises(ValueError, match=r'a pedestal must be "auto", or 0 to 0\.25'):
+        Developing(pedestal=value)

@@ -87,6 +87,7 @@ def licences_of_data(folder: Path) -> dict[str, str]:
         "MIT": "MIT",
         "BSD-3-Clause": "BSD-3-Clause",
         "CC0 1.0": "CC0-1.0",
+        "Apache-2.0": "Apache-2.0",
         "CC BY-SA": "CC-BY-SA-4.0",
     }
     found = {}

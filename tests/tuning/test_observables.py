@@ -13,6 +13,7 @@ from simulated_fits import FEW_SAMPLES, no_patches
 from pepperscene.camera import (
     Camera,
     Developing,
+    add_pedestal,
     camera_rgb,
     correct_colours,
     decode_tone,
@@ -235,14 +236,16 @@ def test_exposure_scales_gain_or_time():
     assert time.linear(bright, 0.5, ones, np.eye(3)) == pytest.approx(5000.0 / 6800.0)
 
 
+@pytest.mark.parametrize("pedestal", [0.0, 0.02])
 @pytest.mark.parametrize("scales_time", [False, True])
 @pytest.mark.parametrize("exposure", [0.6, 1.0, 1.7])
-def test_slopes_of_the_sensor_model_match_finite_differences(exposure, scales_time):
+def test_slopes_of_the_sensor_model_match_finite_differences(exposure, scales_time, pedestal):
     """With respect to electrons, in random directions, where a step crosses no limit."""
     rng = np.random.default_rng(5)
     sensor = load_sensor("ueye_ui5250re")
     electrons, direction = 7000.0 * rng.random((400, 3)), rng.standard_normal((400, 3))
     model = SensorModel(sensor, True, standardised_noise(400, 3, rng), scales_time=scales_time)
+    model = replace(model, pedestal=pedestal)
     gains, matrix, h = np.array(GAINS), np.array(MATRIX), 1e-3
     steps = (0.0, h, -h)
     here, above, below = (
@@ -270,6 +273,7 @@ def test_standard_errors_of_a_view_are_those_of_camera_images():
     samples = []
     for seed in range(40):
         linear = correct_colours(camera_rgb(electrons, camera, np.random.default_rng(seed)), camera)
+        linear = add_pedestal(linear, camera)
         samples.append(observables(decode_tone(encode_tone(linear)[mask])))
     ratio = np.var(samples, axis=0, ddof=1) / model.standard_errors(parts) ** 2
     # The observables are correlated: each has its part of the significance.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.bench.scenes import BenchSubject
-from pepperscene.camera import Camera, camera_rgb, correct_colours
+from pepperscene.camera import Camera, add_pedestal, camera_rgb, correct_colours
 from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.errors import SetupError
 from pepperscene.render import Quality
@@ -67,7 +67,8 @@ def measure_errors(
 def develop_codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
     """`(h, w, c)` the developed image without noise, in 8-bit codes, 0 to 255, not rounded."""
     exact = dataclasses.replace(camera, developing=dataclasses.replace(camera.developing, quantise=False))
-    linear = np.clip(np.asarray(correct_colours(camera_rgb(electrons, exact), exact), float), 0.0, 1.0)
+    corrected = add_pedestal(correct_colours(camera_rgb(electrons, exact), exact), exact)
+    linear = np.clip(np.asarray(corrected, float), 0.0, 1.0)
     if camera.developing.tone == "srgb":
         # IEC 61966-2-1, as `pepperscene.camera.encode_tone` has it with rounding.
         linear = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -9,17 +9,20 @@ from pepperscene.camera.auto_exposure import (
 )
 from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
 from pepperscene.camera.developing import (
+    add_pedestal,
     camera_rgb,
     colour_transform,
     correct_colours,
     decode_tone,
     develop,
     encode_tone,
+    pedestal,
     raw_frame,
     reference_correction,
 )
 from pepperscene.camera.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.flash import Flash, load_flash
+from pepperscene.camera.glare import add_stray_light
 from pepperscene.camera.lens import AngularProfile, Lens, load_lens
 from pepperscene.camera.motion import Motion
 from pepperscene.camera.paths import Trajectory, spline_trajectory, trajectory_from_poses
@@ -29,6 +32,7 @@ from pepperscene.camera.poses import arc_path, grid_poses, look_at, protocol_pos
 from pepperscene.camera.readout import Developing
 from pepperscene.camera.sensor import Filter, Sensor
 from pepperscene.camera.sensor_files import load_filter, load_sensor
+from pepperscene.camera.stray_light import Ghost, StrayLight
 
 __all__ = [
     "AngularProfile",
@@ -41,12 +45,16 @@ __all__ = [
     "Filter",
     "FisheyeDistortion",
     "Flash",
+    "Ghost",
     "Lens",
     "Motion",
     "PoseFormat",
     "PoseList",
     "Sensor",
+    "StrayLight",
     "Trajectory",
+    "add_pedestal",
+    "add_stray_light",
     "arc_path",
     "camera_rgb",
     "choose_exposure",
@@ -63,6 +71,7 @@ __all__ = [
     "load_sensor",
     "look_at",
     "metering_camera",
+    "pedestal",
     "protocol_poses",
     "raw_frame",
     "read_poses",

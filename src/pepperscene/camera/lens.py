@@ -19,6 +19,7 @@ from pepperscene.camera.distortion import (
     LensModel,
     make_distortion,
 )
+from pepperscene.camera.stray_light import StrayLight, StrayLightTable
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.spectra.files import Coefficient, SourcedDocument, find_material
 
@@ -33,6 +34,7 @@ cameras have some hundreds."""
 _LEAST_TRANSMITTANCE: Final = 1e-6  # chosen: the densest neutral filters, which watch the sun, have 1e-5
 
 _NO_DISTORTION: Final = Distortion()
+_TYPICAL_STRAY_LIGHT: Final = StrayLight()
 FY_OVER_FX: Final = (0.25, 4.0)
 """Chosen: anamorphic lenses of the cinema have 2; calibrations of others stay within a per cent of 1."""
 
@@ -90,6 +92,7 @@ class Lens:
             `camera.relative_illumination`; None for none.
         fy_over_fx: focal length down the image over that along its rows. Other than 1, the image is
             stretched, as by an anamorphic lens or by a calibration whose two focal lengths differ.
+        stray_light: diffraction, scatter, veiling glare and ghosts, switched on by `Developing.stray_light`.
     """
 
     name: str
@@ -100,6 +103,7 @@ class Lens:
     principal_offset_m: tuple[float, float] = (0.0, 0.0)
     vignetting: AngularProfile | None = None
     fy_over_fx: float = 1.0
+    stray_light: StrayLight = _TYPICAL_STRAY_LIGHT
 
     def __post_init__(self) -> None:
         is_finite = math.isfinite(self.focal_length_m) and math.isfinite(self.f_number)
@@ -182,6 +186,7 @@ class LensDocument(SourcedDocument):
     principal_offset_mm: tuple[SensorMillimetres, SensorMillimetres] = (0.0, 0.0)
     distortion: DistortionTable
     vignetting: VignettingTable | None = None
+    stray_light: StrayLightTable | None = None
 
 
 def load_lens(name_or_path: str | Path) -> Lens:
@@ -202,4 +207,5 @@ def load_lens(name_or_path: str | Path) -> Lens:
         principal_offset_m=(right * 1e-3, down * 1e-3),
         vignetting=document.vignetting.profile() if document.vignetting else None,
         fy_over_fx=document.fy_over_fx,
+        stray_light=document.stray_light.stray_light() if document.stray_light else _TYPICAL_STRAY_LIGHT,
     )

@@ -21,12 +21,15 @@ Gains = tuple[float, float, float]
 WhiteBalance = Light | Gains
 Matrix = tuple[Gains, Gains, Gains]
 Tone = Literal["srgb", "linear"]
+Pedestal = float | Literal["auto"]
 
 GAIN_RANGE: Final = (0.01, 100.0)
 """Allowed white balance gains. Chosen: cameras need 1 to 4, and single precision is exact enough here."""
 
 LARGEST_MATRIX_ENTRY: Final = 100.0
 """Largest absolute entry of a given colour matrix. Chosen as `GAIN_RANGE`; fitted matrices stay below 20."""
+
+LARGEST_PEDESTAL: Final = 0.25  # of full scale; chosen: black is then a bright grey, code 137
 
 _FEW_ELECTRONS: Final = 32.0  # chosen: below, single electrons and the lack of negative counts could show
 _MAX_ELECTRONS: Final = 1e18  # chosen: beyond any light, and far from where single precision ends
@@ -55,6 +58,11 @@ class Developing:
         tone: the sRGB curve, or codes proportional to light.
         white_balance_error: factors on the gains of red, green and blue, as of a camera that misjudges the
             light; the colour matrix is still that of the right gains.
+        stray_light: diffraction, scatter, veiling glare and ghosts of the lens; see `StrayLight`.
+        pedestal: added to linear sRGB before it is clipped at black, as a fraction of full scale, from 0 to
+            0.25; white stays white. Without it, clipping the noise of black makes it brighter, and most where
+            noise is strongest, in red and blue. "auto" is `AUTO_PEDESTAL` standard deviations of the noisiest
+            colour of black, which makes it neutral; 0 on a monochrome sensor.
 
     Sequences and arrays of numbers become tuples of floats. White balance and colour matrix do not apply to
     monochrome sensors. With numbers for both, or without a matrix, no reference light is needed.
@@ -73,19 +81,22 @@ class Developing:
     colour_matrix: bool | Matrix = True
     tone: Tone = "srgb"
     white_balance_error: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    stray_light: bool = False
+    pedestal: Pedestal = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "white_balance_error", _gains(self.white_balance_error, "error"))
         if self.white_balance is not None:
             object.__setattr__(self, "white_balance", _white_balance(self.white_balance))
         object.__setattr__(self, "colour_matrix", _colour_matrix(self.colour_matrix))
+        if self.pedestal != "auto" and not 0.0 <= float(self.pedestal) <= LARGEST_PEDESTAL:
+            raise ValueError(f'a pedestal must be "auto", or 0 to {LARGEST_PEDESTAL:g}')
 
     def metadata(self) -> dict[str, Any]:
-        """JSON-ready description; an error of the white balance only if there is one."""
+        """JSON-ready description; later steps only if they are used."""
         steps = dataclasses.asdict(self)
-        if self.white_balance_error == (1.0, 1.0, 1.0):
-            del steps["white_balance_error"]
-        return steps
+        unused = {"white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0}
+        return {name: value for name, value in steps.items() if name not in unused or value != unused[name]}
 
 
 def _white_balance(value: object) -> WhiteBalance:

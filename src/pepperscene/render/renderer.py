@@ -16,6 +16,7 @@ from pepperscene.camera import (
     Camera,
     ChosenExposure,
     ExposureControl,
+    add_stray_light,
     choose_exposure,
     develop,
     expected_electrons,
@@ -237,6 +238,8 @@ def _photographs(
 ) -> dict[str, NDArray[Any]]:
     """The camera's outputs from the light that reaches its pixels."""
     electrons = expected_electrons(signal, camera)
+    if camera.developing.stray_light:
+        electrons = add_stray_light(electrons, camera)
     images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
     # Both start from the same generator state: the image is developed from exactly this raw frame.
     if "raw" in requested:

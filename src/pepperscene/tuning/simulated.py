@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.camera import Camera, camera_rgb, correct_colours, decode_tone, encode_tone
+from pepperscene.camera import Camera, add_pedestal, camera_rgb, correct_colours, decode_tone, encode_tone
 from pepperscene.colour import Patch, PatchSet
 from pepperscene.colour.patches.patch import is_organ_kind
 from pepperscene.dataset.recipe.load_camera import surface_wavelengths
@@ -85,7 +85,7 @@ def photograph(view: OrganView, camera: Camera, seed: tuple[int, int]) -> Patch:
     render_seed = int(np.random.default_rng(seed).integers(2**31))
     electrons = Renderer(view.scene).render(camera, ["electrons"], QUALITY, render_seed)["electrons"]
     rgb = camera_rgb(electrons, camera, np.random.default_rng((*seed, 1)))
-    codes = encode_tone(correct_colours(rgb, camera), tone)[view.mask]
+    codes = encode_tone(add_pedestal(correct_colours(rgb, camera), camera), tone)[view.mask]
     return Patch(view.name, view.kind, view.name, decode_tone(codes, tone), codes)
 
 

@@ -134,6 +134,18 @@ ColourMatrix = Annotated[
     single_message("must be true, false, or three rows of three numbers, each -100 to 100"),
 ]
 
+Pedestal = Annotated[
+    Annotated[float, Field(strict=True, ge=0, le=0.25)] | Literal["auto"],
+    single_message('must be "auto", or 0 to 0.25'),
+]
+
+LATER_STEPS: Final[dict[str, object]] = {
+    "white_balance_error": (1.0, 1.0, 1.0),
+    "stray_light": False,
+    "pedestal": 0.0,
+}
+"""Keys of `[developing]` that older recipes do not have, and the values that the identity leaves out."""
+
 
 class DevelopingTable(Document):
     """The steps from light to image, as in `pepperscene.camera.Developing`; "none": no white balance."""
@@ -148,3 +160,5 @@ class DevelopingTable(Document):
     colour_matrix: ColourMatrix = True
     tone: Literal["srgb", "linear"] = "srgb"
     white_balance_error: tuple[Gain, Gain, Gain] = (1.0, 1.0, 1.0)
+    stray_light: Switch = False
+    pedestal: Pedestal = 0.0

@@ -129,8 +129,9 @@ class Recipe(Document):
                 del recipe["camera"][key]
         if recipe["views"].get("speed_mm_s", 0) is None:
             del recipe["views"]["speed_mm_s"]
-        if self.developing.white_balance_error == (1.0, 1.0, 1.0):
-            del recipe["developing"]["white_balance_error"]
+        for key, unused in camera_tables.LATER_STEPS.items():
+            if getattr(self.developing, key) == unused:
+                del recipe["developing"][key]
         if self.variation:
             recipe["variation"] = {varied.name: varied.identity() for varied in self.variation}
 

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, correct_colours, expected_electrons
+from pepperscene.camera import Camera, correct_colours, expected_electrons, pedestal
 from pepperscene.render.transport.accumulate import SampleAccumulator, TracedLight
 
 VARIANCE_GAIN: Final = 0.8
@@ -156,7 +156,7 @@ def _rows_response(
     sensor = camera.sensor
     full_scale = np.float32(1.0 / (sensor.gain_e_per_dn * (sensor.full_scale_dn - sensor.black_level_dn)))
     charge = np.maximum(signal * electrons, np.float32(0.0))
-    linear = (charge * full_scale) @ matrix
+    linear = (charge * full_scale) @ matrix + _lift(camera)
     slope = _tone_slope(linear, camera.developing.tone)
     quantisation = sensor.gain_e_per_dn**2 / 12.0 if camera.developing.quantise else 0.0
     variance = (charge + np.float32(sensor.read_noise_e**2 + quantisation)) * (
@@ -177,10 +177,21 @@ def _rows_response(
 def _colour_matrix(camera: Camera) -> Floats:
     """`(c, k)` linear part of developing: the contribution of each channel far below saturation."""
     channels = np.eye(camera.sensor.channels, dtype=np.float32)
-    if camera.developing.white_balance == "flash" and camera.flash is None:
-        return channels  # such a camera gives electrons and no images
+    if not _makes_images(camera):
+        return channels
     level = np.float32(1e-4)
-    return correct_colours(channels[None] * level, camera)[0] / level
+    return correct_colours(channels[None] * level, camera)[0] / level / np.float32(1.0 + pedestal(camera))
+
+
+def _lift(camera: Camera) -> np.float32:
+    """Linear value of black."""
+    lifted = pedestal(camera) if _makes_images(camera) else 0.0
+    return np.float32(lifted / (1.0 + lifted))
+
+
+def _makes_images(camera: Camera) -> bool:
+    """Whether there is a white balance; otherwise the camera gives electrons and no images."""
+    return camera.developing.white_balance != "flash" or camera.flash is not None
 
 
 def _tone_slope(linear: Floats, tone: str) -> Floats:

@@ -104,6 +104,7 @@ class SensorModel:
     shot_noise: bool = True
     read_noise: bool = True
     scales_time: bool = False
+    pedestal: float = 0.0  # lifts black; see `Developing`
 
     def linear(self, electrons: Array, exposure: float, gains: Array, matrix: Array) -> Array:
         """Pixels `(n, 3)` in linear sRGB, clipped to [0, 1]. Arguments as in `linear_and_slopes`."""
@@ -123,7 +124,8 @@ class SensorModel:
             matrix: `(3, 3)` colour matrix.
 
         Returns:
-            Pixels `(n, 3)`; slope `(n, c)`; unclipped `(n, 3)`, 1 where the result is not clipped, else 0.
+            Pixels `(n, 3)`; slope `(n, c)`; unclipped `(n, 3)`, 0 where the result is clipped, else 1, or
+                less with a pedestal.
         """
         time, gain = (exposure, 1.0) if self.scales_time else (1.0, exposure)
         counted, slope = self._counted(time * electrons)
@@ -136,9 +138,9 @@ class SensorModel:
             limit = np.minimum(maximum * gains, min(self.sensor.gain * gain, 1.0) * gains.min())
             slope = np.where(balanced < limit, slope, 0.0)
             balanced = np.minimum(balanced, limit)
-        colour = balanced @ matrix.T
+        colour = (balanced @ matrix.T + self.pedestal) / (1.0 + self.pedestal)
         unclipped = (colour > 0.0) & (colour < 1.0)
-        return np.clip(colour, 0.0, 1.0), slope, unclipped.astype(float)
+        return np.clip(colour, 0.0, 1.0), slope, unclipped / (1.0 + self.pedestal)
 
     def _counted(self, electrons: Array) -> tuple[Array, Array]:
         """Electrons with noise, and their slope with respect to the expected ones."""

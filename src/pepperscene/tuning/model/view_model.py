@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera import pedestal
 from pepperscene.render.gradients.pigment_models import path_values
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.quality import Quality
@@ -126,6 +127,7 @@ class ViewModel:
             steps.shot_noise,
             steps.read_noise,
             scales_time=camera.flash is None,
+            pedestal=pedestal(camera),
         )
 
     def electrons(self, parts: TunedParts) -> Array:

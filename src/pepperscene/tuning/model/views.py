@@ -164,7 +164,7 @@ def _select_organs(mesh: Mesh, kind: str, forward: Array, count: int) -> list[Me
 
 def _close_up_camera(camera: Camera, mesh: Mesh, forward: Array, position: Array, pixels: int) -> Camera:
     """The camera that sees an organ at a position `(3,)` in its own axes, with a lens that enlarges it."""
-    from pepperscene.camera import Distortion, look_at
+    from pepperscene.camera import Distortion, look_at, pedestal
 
     # The width of the view follows from the thickness of the organ across its longer axis.
     points = mesh.vertices.astype(float)
@@ -188,7 +188,9 @@ def _close_up_camera(camera: Camera, mesh: Mesh, forward: Array, position: Array
     )
     pose = look_at(target - forward, target)
     pose[:3, 3] = target - pose[:3, :3] @ position
-    return replace(camera, lens=lens, sensor=sensor, pose=pose, focus_m=None)
+    # Stray light depends on the whole scene, so views have none. The pedestal is that of the recipe's camera.
+    steps = replace(camera.developing, stray_light=False, pedestal=pedestal(camera))
+    return replace(camera, lens=lens, sensor=sensor, pose=pose, focus_m=None, developing=steps)
 
 
 def _mask(kind: str, scene: Scene, camera: Camera) -> NDArray[np.bool_]:
