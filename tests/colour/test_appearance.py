@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from image_sets import MemorySet, image_set, uniform
 
-from pepperscene.camera import encode_tone
+from pepperscene.camera import decode_tone, encode_tone
 from pepperscene.classes import OrganClass
 from pepperscene.colour import compare, linear_srgb_to_lab
 from pepperscene.colour.appearance import (
@@ -166,15 +166,14 @@ def test_organs_are_instances_or_connected_areas():
     leaf = compare(*halves, width_px=640).appearance["leaf"]
     # Each instance is uniform; the area that joins them is not.
     assert leaf.first.organ_lightness_sd.value == pytest.approx(0.0, abs=1e-9)
-    lightness = linear_srgb_to_lab(np.repeat(((np.array([[90], [160]]) / 255 + 0.055) / 1.055) ** 2.4, 3, axis=1))
+    grey = decode_tone(np.array([[90] * 3, [160] * 3], np.uint8))
+    lightness = linear_srgb_to_lab(grey)
     assert leaf.second.organ_lightness_sd.value == pytest.approx(np.ptp(lightness[:, 0]) / 2, rel=1e-3)
 
 
 def test_images_are_compared_at_one_scale():
     fine = leaf_picture(0.4, size=(400, 1280))
-    coarse = encode_tone(
-        resize_linear(np.asarray((fine / 255.0 + 0.055) / 1.055) ** 2.4, 640).astype(np.float32)
-    )
+    coarse = encode_tone(resize_linear(decode_tone(fine), 640).astype(np.float32))
     sets = image_set((fine, None)), image_set((coarse, None))
     for options in ({"width_px": 640}, {"pixel_mm": (0.5, 1.0)}):
         pair = compare(*sets, **options).appearance["image"]

@@ -196,10 +196,9 @@ class _Image:
         vector[GREATER], vector[LESSER] = greater.sum(), lesser.sum()
         if regions is None:
             vector[REGIONS], vector[REGION_SD] = vector[PATCHES], vector[PATCH_SD]
-            pixels = (
-                values[rows, columns].reshape(len(rows), PATCH_PX**2) for values in (self.luminance, self._saturation)
-            )
-            vector[REGION_GLOSS] = gloss_share(*pixels).sum()
+            shape = (len(rows), PATCH_PX**2)
+            luminance, saturations = self.luminance[rows, columns], self._saturation[rows, columns]
+            vector[REGION_GLOSS] = gloss_share(luminance.reshape(shape), saturations.reshape(shape)).sum()
         else:
             self._add_regions(vector, regions)
         return vector
