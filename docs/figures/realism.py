@@ -2,8 +2,8 @@
 
     python docs/figures/realism.py [--quality draft]
 
-It renders four frames, and one in the infrared twice, which takes some minutes. Text between the markers of the
-page is replaced.
+It renders four frames, and one in the infrared twice, which takes some minutes. Text between the markers of
+the page is replaced.
 """
 
 from __future__ import annotations
