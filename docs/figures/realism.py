@@ -64,7 +64,7 @@ class Pair:
 
 
 PAIRS: Final = (
-    Pair("demo", 6137, "img9", 67.0, (283, 185)),
+    Pair("demo", 6137, "img9", 67.0, (283, 216)),
     Pair("greenhouse", 0, "img8", 53.0, (497, 233)),
     Pair("randomised", 0, "img7", 41.0, (258, 140)),
     Pair("season", 60, "img10", 49.0, (252, 207)),
