@@ -960,6 +960,16 @@ def plants() -> Image.Image:
     return image
 
 
+def realism() -> Image.Image:
+    """A photograph and a frame, out of a picture of the page on realism."""
+    sheet = Image.open(IMAGES / "realism_greenhouse.jpg").convert("RGB")
+    image, half = white(), sheet.height // 2
+    for i, top in enumerate((0, sheet.height - half + 3)):
+        part = np.asarray(sheet.crop((0, top + 20, sheet.width // 3 - 8, top + half - 8)))
+        image.paste(fill(part, (119, 160)), (121 * i, 0))
+    return image
+
+
 def optics() -> Image.Image:
     """Reflectance and transmittance of a leaf."""
     nm = np.arange(400.0, 901.0, 2.0)
@@ -1016,7 +1026,7 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, gallery, first_frame, dataset, build, camera, vary, motion, read, export,
-    cultivar, outputs, harvest, check, plants, rendering,
+    cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

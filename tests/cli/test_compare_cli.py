@@ -93,6 +93,18 @@ def test_limit_is_passed_on(command, without_table):
     assert content["kinds"]["pepper"]["delta_e_2000"] == {"value": 0.0, "low": None, "high": None}
 
 
+def test_textures_are_measured_at_the_scale_of_the_options(command, without_table):
+    base = ("compare", without_table, without_table, "--labels", "montoya2021", "--json")
+    narrow = json.loads(command(*base).stdout)["appearance"]["image"]["one"]
+    assert narrow["patch_lightness_sd"]["why"] == "no image is 580 pixels wide"
+    result = command(*base, "--width", 32)
+    assert result.exit_code == 0, result.stderr
+    pixels = json.loads(result.stdout)["appearance"]["image"]["one"]["pixels"]
+    assert pixels == narrow["pixels"]
+    halved = json.loads(command(*base, "--pixel-mm", "1,2").stdout)["appearance"]["image"]
+    assert 4 * halved["one"]["pixels"] == halved["other"]["pixels"] == pixels
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -103,6 +115,8 @@ def test_limit_is_passed_on(command, without_table):
         ),
         ((), "mask1.png"),
         (("--labels", "montoya2021", "--figure", "page.pdf"), "must end in .svg or .png"),
+        (("--labels", "montoya2021", "--pixel-mm", "1.2"), "--pixel-mm: must be two numbers such as"),
+        (("--labels", "montoya2021", "--pixel-mm", "1.2,0"), "--pixel-mm: must be two sizes above 0"),
     ],
 )
 def test_rejects_invalid_options(rejects, without_table, options, message):

@@ -125,3 +125,15 @@ def test_draws_sets_without_labels_or_photographs():
 def test_names_with_dollar_signs_are_no_formulas():
     name = r"a $\frac{$ b"
     assert any(name in text for text in words(comparison_figure(compare(noisy_set(1, 2, name=name), SECOND))))
+
+
+def test_saturation_of_whole_images_and_leaves_is_drawn(comparison, axes):
+    charts = {one.get_title(loc="left"): one for one in axes if one.get_ylabel() == "% of pixels"}
+    assert list(charts) == ["image", "leaf"]
+    for kind, chart in charts.items():
+        for line, side in zip(chart.lines, (comparison.first, comparison.second), strict=True):
+            assert line.get_ydata().sum() == pytest.approx(100.0)
+            median = getattr(comparison.appearance[kind], "first" if side is comparison.first else "second")
+            cumulative = np.cumsum(line.get_ydata())
+            bin_of_median = line.get_xdata()[np.searchsorted(cumulative, 50.0)]
+            assert bin_of_median == pytest.approx(median.saturation[1].value, abs=0.0051)

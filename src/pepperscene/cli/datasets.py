@@ -193,20 +193,30 @@ def compare(
         typer.Option(metavar="NAME[,NAME]", help="synthetic or empirical, for the published data set."),
     ] = None,
     limit: Annotated[int, typer.Option(min=1, help="Measure at most this many images of each set.")] = 1000,
+    width: Annotated[
+        int, typer.Option(min=1, help="Reduce images to this width in pixels before measuring texture.")
+    ] = 580,
+    pixel_mm: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Millimetres per pixel on the plants. Overrides --width."),
+    ] = None,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as .svg or .png.")
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Compare two image sets. Measures hues, CIELAB, class fractions, positions and light."""
+    """Compare two image sets. Measures colour, saturation, texture, class fractions, positions and light."""
     from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
     from pepperscene.colour.comparison.compare import compare as compare_sets
     from pepperscene.colour.comparison.open_sets import open_two_sets
 
     if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
         raise InputError("--figure", f"must end in .svg or .png, not {figure.name}")
+    pixel_mm_of_sets = _pixel_sizes(pixel_mm)
     sets = open_two_sets(first, second, labels, half)
-    comparison = compare_sets(*sets, limit=limit, on_progress=echo_measured)
+    comparison = compare_sets(
+        *sets, limit=limit, width_px=width, pixel_mm=pixel_mm_of_sets, on_progress=echo_measured
+    )
     if json:
         typer.echo(json_text.dumps(comparison_json(comparison), indent=1, allow_nan=False))
     elif sys.stdout.isatty():
@@ -216,6 +226,16 @@ def compare(
         typer.echo(format_tables(comparison_tables(comparison)))
     if figure is not None:
         _write_figure(figure, comparison_figure(comparison, figure.suffix.lower()[1:]))
+
+
+def _pixel_sizes(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        first, second = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError("--pixel-mm", f"must be two numbers such as 1.2,0.9, not {text}") from None
+    return first, second
 
 
 def _write_figure(file: Path, content: bytes) -> None:

@@ -14,6 +14,14 @@ import numpy as np
 
 from pepperscene.classes import OrganClass
 from pepperscene.colour.comparison import similarity
+from pepperscene.colour.comparison.appearance import (
+    WHOLE,
+    WIDTH_PX,
+    AppearanceMeasures,
+    Scale,
+    measure_appearance,
+    unknown_appearance,
+)
 from pepperscene.colour.comparison.bootstrap import (
     Estimate,
     Floats,
@@ -22,10 +30,17 @@ from pepperscene.colour.comparison.bootstrap import (
     unknown_estimate,
 )
 from pepperscene.colour.comparison.measure import PIXELS, OnProgress, SetMeasures, measure_set
-from pepperscene.colour.comparison.result import Comparison, KindComparison, KindMeasures, LightComparison
+from pepperscene.colour.comparison.result import (
+    AppearanceComparison,
+    Comparison,
+    KindComparison,
+    KindMeasures,
+    LightComparison,
+)
 from pepperscene.colour.patches.patch import PatchSet
 from pepperscene.colour.statistics import circular_emd, delta_e_2000
 from pepperscene.dataset import ImageSet
+from pepperscene.errors import ArgumentError
 
 DEFAULT_LIMIT: Final = 1000
 """Chosen: a mean over 1,000 images is known to 3 % of the spread between them."""
@@ -44,6 +59,8 @@ def compare(
     second: str | Path | ImageSet | PatchSet,
     *,
     limit: int | None = DEFAULT_LIMIT,
+    width_px: int = WIDTH_PX,
+    pixel_mm: tuple[float, float] | None = None,
     on_progress: OnProgress | None = None,
 ) -> Comparison:
     """Compare two sets of images, or a set and patches of measured colour.
@@ -57,12 +74,21 @@ def compare(
         first: a set of images or patches, or the path of one (see `open_images` and `open_patches`).
         second: the second set; with patches, only colours are compared.
         limit: at most so many images of each set are measured, evenly spaced; None measures all.
+        width_px: width to which images are reduced before their textures are measured; narrower images have
+            none.
+        pixel_mm: size of a pixel of each set on the plants, in millimetres. If given, the finer set is
+            reduced to the scale of the coarser one, instead of both to one width.
         on_progress: called after each measured image with the number measured and the total.
 
     Raises:
         InputError: a path is no set of images or patches, or a file is damaged.
+        ArgumentError: a width or a pixel size is not positive.
     """
-    sets = measure_set(first, limit, on_progress), measure_set(second, limit, on_progress)
+    scales = _scales(width_px, pixel_mm)
+    sets = (
+        measure_set(first, limit, on_progress, scales[0]),
+        measure_set(second, limit, on_progress, scales[1]),
+    )
     # A set against itself, or two folders of one name, need different names.
     if sets[0].name == sets[1].name:
         for side, letter in zip(sets, "AB", strict=True):
@@ -73,7 +99,20 @@ def compare(
         hue_correlation=_mean_hue_correlation(sets),
         share_correlation=_class_fraction_correlation(sets),
         light=_compare_light(sets),
+        appearance=_compare_appearance(sets),
     )
+
+
+def _scales(width_px: int, pixel_mm: tuple[float, float] | None) -> tuple[Scale, Scale]:
+    """Scales of both sets, at which pixels have one size on the plants or images have one width."""
+    if width_px < 1:
+        raise ArgumentError("width_px", f"must be at least 1, not {width_px}")
+    if pixel_mm is None:
+        return Scale(width_px), Scale(width_px)
+    if len(pixel_mm) != 2 or not all(0.0 < size < float("inf") for size in pixel_mm):
+        raise ArgumentError("pixel_mm", f"must be two sizes above 0 in millimetres, not {pixel_mm}")
+    first, second = (Scale(width_px, size / max(pixel_mm)) for size in pixel_mm)
+    return first, second
 
 
 def _common_kinds(sets: Sets) -> list[str]:
@@ -236,6 +275,23 @@ def _mean_grey(side: SetMeasures) -> Estimate:
 def _grey_spread(side: SetMeasures) -> float | None:
     """Standard deviation of the mean grey value between images; None without photographs."""
     return float(np.std(np.sort(side.statistics.intensities))) if side.light.count else None
+
+
+def _compare_appearance(sets: Sets) -> dict[str, AppearanceComparison]:
+    """Whole images, then the classes in either set in their order; nothing for patches."""
+    seen = {kind for side in sets for kind in side.appearance}
+    kinds = [kind for kind in (WHOLE, *_ORDER) if kind in seen]
+    return {kind: AppearanceComparison(*(_measure_appearance(kind, side) for side in sets)) for kind in kinds}
+
+
+def _measure_appearance(kind: str, side: SetMeasures) -> AppearanceMeasures:
+    if kind in side.appearance:
+        return measure_appearance(side.appearance[kind], side.scale, kind)
+    if not side.has_images:
+        return unknown_appearance(_unlabelled_reason(side))
+    if kind == WHOLE:
+        return unknown_appearance(f"no photographs in {side.name}")
+    return unknown_appearance(_missing_reason(kind, side))
 
 
 # --- reasons for missing values -----------------------------------------------------------------------------

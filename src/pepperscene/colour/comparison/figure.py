@@ -1,4 +1,4 @@
-"""Figs. 10 to 13 of Barth et al. 2018 with both sets in one figure, by matplotlib."""
+"""Figs. 10 to 13 of Barth et al. 2018, saturation and power spectra of two sets in one figure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
+from pepperscene.colour.appearance import spectrum_frequencies
 from pepperscene.colour.comparison import similarity
+from pepperscene.colour.comparison.appearance import (
+    SATURATION_BINS,
+    SATURATION_WIDTH,
+    SATURATIONS,
+    WHOLE,
+    mean_power_spectrum,
+)
 from pepperscene.colour.comparison.bootstrap import Estimate
 from pepperscene.colour.comparison.result import Comparison, KindComparison
 from pepperscene.colour.comparison.tables import format_estimate
@@ -67,6 +75,9 @@ def comparison_figure(comparison: Comparison, file_format: str = "svg") -> bytes
         sections.append((0.5 + 2.2 * _rows(kinds), lambda part: _draw_hues(part, comparison, kinds)))
     if any(side.statistics.mean_intensity() is not None for side in sides):
         sections.append((3.2, lambda part: _draw_light(part, comparison)))
+
+    if comparison.appearance:
+        sections.append((3.0, lambda part: _draw_appearance(part, comparison)))
 
     with matplotlib.rc_context(_STYLE):
         heights = [height for height, _ in sections]
@@ -220,6 +231,36 @@ def _draw_light(part: SubFigure, comparison: Comparison) -> None:
             f"SSIM {format_estimate(light.ssim)}"
         )
     falloff.set_xlabel(text)
+
+
+def _draw_appearance(part: SubFigure, comparison: Comparison) -> None:
+    """Saturation of whole images and of leaves, and the radial power spectrum."""
+    _add_title(part, "Saturation and power spectrum")
+    grid = part.add_gridspec(1, 3, left=0.06, right=0.97, top=0.8, bottom=0.25, wspace=0.28)
+    saturations = (np.arange(SATURATION_BINS) + 0.5) * SATURATION_WIDTH
+    sides = (comparison.first, comparison.second)
+    for column, kind in enumerate((WHOLE, OrganClass.LEAF.name.lower())):
+        if kind not in comparison.appearance:
+            continue
+        axes = part.add_subplot(grid[column])
+        for side, colour, dashes in zip(sides, _COLOURS, _DASHES, strict=True):
+            if kind in side.appearance:
+                counts = side.appearance[kind].totals()[0, SATURATIONS]
+                axes.plot(saturations, 100.0 * counts / counts.sum(), color=colour, linestyle=dashes)
+        axes.set(title=kind, ylabel="% of pixels", xlim=(0.0, 1.5), xlabel="saturation C*/(L*+16)")
+        axes.set_ylim(bottom=0.0)
+        axes.grid(axis="y")
+    axes = part.add_subplot(grid[2])
+    slopes = []
+    for side, colour, dashes in zip(sides, _COLOURS, _DASHES, strict=True):
+        spectrum = mean_power_spectrum(side.appearance[WHOLE]) if WHOLE in side.appearance else None
+        if spectrum is not None:
+            axes.loglog(spectrum_frequencies(), spectrum, color=colour, linestyle=dashes)
+    if WHOLE in comparison.appearance:
+        pair = comparison.appearance[WHOLE]
+        slopes = [format_estimate(measures.spectrum_slope) for measures in (pair.first, pair.second)]
+    axes.set(title="mean power spectrum", ylabel="power")
+    axes.set_xlabel(f"cycles per pixel\nslope {' and '.join(slopes)}")
 
 
 def _falloff(mean: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import decode_tone
 from pepperscene.camera.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
+from pepperscene.colour.comparison.appearance import Scale, add_appearance
 from pepperscene.colour.comparison.bootstrap import BootstrapSums, Floats, bootstrap_weights
 from pepperscene.colour.comparison.names import printable_name
 from pepperscene.colour.comparison.open_sets import open_set
@@ -35,6 +36,8 @@ CLASSES: Final = len(OrganClass)
 CELLS: Final = (30, 40)
 """Rows and columns of the grid in which spatial distributions are compared. Chosen: cells of 20 x 20 pixels
 of an 800 x 600 image, narrower than a fruit and wider than a wire, which a few dozen images fill."""
+
+DEFAULT_SCALE: Final = Scale()
 
 _CELLS_TOTAL: Final = CELLS[0] * CELLS[1]
 
@@ -60,10 +63,12 @@ class SetMeasures:
         places: fraction of each class in each cell, `(8 * rows * columns,)`.
         light: mean grey value of each cell, `(rows * columns,)`, of the image, and 1.
         statistics: the measures of the paper.
+        appearance: saturation, texture, gloss and clipping of whole images and of each class.
+        scale: at which these are measured.
         units: images measured, or images and spectra of a patch set.
     """
 
-    def __init__(self, name: str, available: int, *, has_images: bool) -> None:
+    def __init__(self, name: str, available: int, *, has_images: bool, scale: Scale = DEFAULT_SCALE) -> None:
         self.name = printable_name(name)
         self.available, self.has_images, self.units = available, has_images, 0
         self.kinds: dict[str, BootstrapSums] = {}
@@ -71,12 +76,15 @@ class SetMeasures:
         self.places = BootstrapSums(CLASSES * _CELLS_TOTAL)
         self.light = BootstrapSums(_CELLS_TOTAL + 2)
         self.statistics = ImageStatistics()
+        self.appearance: dict[str, BootstrapSums] = {}
+        self.scale = scale
 
     def add_picture(
         self,
         colour: NDArray[np.uint8] | None,
         classes: NDArray[np.uint8] | None,
         stages: Mapping[str, NDArray[np.bool_]] | None = None,
+        instances: NDArray[np.uint16] | None = None,
     ) -> None:
         """Add an image.
 
@@ -84,6 +92,7 @@ class SetMeasures:
             colour: `(h, w, 3)` sRGB, or None.
             classes: `(h, w)` class ids, or None; values above 7 are unlabelled.
             stages: masks `(h, w)` of the kinds with a stage ("pepper.ripe").
+            instances: `(h, w)` instances, 0 for none, or None.
         """
         self.statistics.add(colour, classes)
         self.units += 1
@@ -94,6 +103,7 @@ class SetMeasures:
         if colour is not None:
             grey = grey_values(colour)
             self.light.add([*_cell_means(grey), grey.mean(dtype=np.float64), 1.0], weights)
+            add_appearance(self.appearance, colour, classes, instances, self.scale, weights)
         if colour is not None and classes is not None:
             central, ids = centre_crop(colour), centre_crop(classes)
             masks = {organ_class.name.lower(): ids == organ_class for organ_class in OrganClass}
@@ -193,9 +203,14 @@ def _assign_cells(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
 
 
 def measure_set(
-    source: str | Path | ImageSet | PatchSet, limit: int | None, on_progress: OnProgress | None = None
+    source: str | Path | ImageSet | PatchSet,
+    limit: int | None,
+    on_progress: OnProgress | None = None,
+    scale: Scale = DEFAULT_SCALE,
 ) -> SetMeasures:
     """Measure at most `limit` images of a set or of the set at a path, evenly spaced.
+
+    Textures are measured at a scale, all else in the images as they are.
 
     Raises:
         InputError: the path is no set, a file is damaged, or there is nothing to measure.
@@ -203,14 +218,14 @@ def measure_set(
     image_set = open_set(source) if isinstance(source, str | Path) else source
     if isinstance(image_set, PatchSet):
         return _measure_patches(image_set, limit)
-    sums = SetMeasures(image_set.name, len(image_set), has_images=True)
+    sums = SetMeasures(image_set.name, len(image_set), has_images=True, scale=scale)
     indices = evenly_spaced(len(image_set), len(image_set) if limit is None else limit)
     images = image_set.select("colour", "classes", "instances", "metadata")
     for picture in read_ahead(images, indices):
         stages = {}
         if picture.colour is not None:
             stages = {kind: mask for kind, mask in organ_regions(images, picture) if "." in kind}
-        sums.add_picture(picture.colour, picture.classes, stages)
+        sums.add_picture(picture.colour, picture.classes, stages, picture.instances)
         if on_progress is not None:
             on_progress(sums.units, len(indices))
     return sums

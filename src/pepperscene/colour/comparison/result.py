@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from pepperscene.colour.comparison.appearance import AppearanceMeasures
 from pepperscene.colour.comparison.bootstrap import Estimate
 from pepperscene.colour.comparison.measure import SetMeasures
 
@@ -61,6 +62,14 @@ class LightComparison:
     second_spread: float | None  # likewise
 
 
+@dataclass(frozen=True)
+class AppearanceComparison:
+    """Appearance of one kind of organ, or of whole images, in both sets."""
+
+    first: AppearanceMeasures
+    second: AppearanceMeasures
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """Result of `compare`.
@@ -72,6 +81,7 @@ class Comparison:
         hue_correlation: mean of the classes' hue correlations over the plant parts that both sets show.
         share_correlation: of the class fractions, over the classes that both sets know (Fig. 10).
         light: brightness of the images.
+        appearance: saturation, texture, gloss and clipping: of whole images ("image") and of each class.
     """
 
     first: SetMeasures = field(repr=False)
@@ -80,3 +90,4 @@ class Comparison:
     hue_correlation: Estimate
     share_correlation: Estimate
     light: LightComparison
+    appearance: Mapping[str, AppearanceComparison]

@@ -42,6 +42,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             for name, kind in comparison.kinds.items()
         },
         "light": _to_json(comparison.light),
+        "appearance": {kind: _to_json(pair) for kind, pair in comparison.appearance.items()},
     }
 
 
@@ -70,10 +71,14 @@ class TextTable:
 
 
 def comparison_tables(comparison: Comparison) -> tuple[TextTable, ...]:
-    """The comparison in four tables: hues, CIELAB, class fractions and places, light; two with patches."""
+    """The comparison in tables: hues, CIELAB, class fractions and places, light, saturation and texture.
+
+    With patches on one side, there are tables of hues and CIELAB only.
+    """
     tables = [_hue_table(comparison), _lab_table(comparison)]
     if comparison.first.has_images and comparison.second.has_images:
         tables += [_class_table(comparison), _light_table(comparison)]
+        tables += [_saturation_table(comparison), _texture_table(comparison)]
     return tuple(tables)
 
 
@@ -185,6 +190,56 @@ def _light_table(comparison: Comparison) -> TextTable:
         ("correlation of the radial falloff", format_estimate(light.falloff_correlation)),
     )
     return TextTable("Light (Fig. 13)", ("measure", "value"), rows)
+
+
+def _saturation_table(comparison: Comparison) -> TextTable:
+    rows = []
+    for kind, pair in comparison.appearance.items():
+        for letter, side in (("A", pair.first), ("B", pair.second)):
+            hue, spread = side.hue_median_deg.value, side.hue_spread_deg.value
+            rows.append(
+                (
+                    kind,
+                    letter,
+                    *(format_estimate(percentile) for percentile in side.saturation),
+                    UNKNOWN if hue is None or spread is None else f"{hue:.0f} ± {spread:.0f}",
+                    format_estimate(side.blue_dark_share, 1, 100.0),
+                    format_estimate(side.clipped_share, 1, 100.0),
+                )
+            )
+    return TextTable(
+        "Saturation S = C*/(L*+16), and hue weighted by chroma",
+        ("kind", "set", "S 10 %", "S 50 %", "S 90 %", "hue, deg", "blue < .002, %", "clipped, %"),
+        tuple(rows),
+    )
+
+
+def _texture_table(comparison: Comparison) -> TextTable:
+    rows = [
+        (
+            kind,
+            letter,
+            format_estimate(side.organ_lightness_sd, 1),
+            format_estimate(side.patch_lightness_sd, 1),
+            format_estimate(side.gradient_ratio),
+            format_estimate(side.coherence),
+            format_estimate(side.gloss_share, 1, 100.0),
+            format_estimate(side.spectrum_slope),
+        )
+        for kind, pair in comparison.appearance.items()
+        for letter, side in (("A", pair.first), ("B", pair.second))
+    ]
+    spreads = [
+        format_estimate(side.spectrum_slope_spread)
+        for pair in list(comparison.appearance.values())[:1]
+        for side in (pair.first, pair.second)
+    ]
+    return TextTable(
+        "Texture: lightness in organs and in patches, gradients, gloss, power spectrum",
+        ("kind", "set", "organ sd L*", "patch sd L*", "gradients", "coherence", "gloss, %", "slope"),
+        tuple(rows),
+        (f"sd of the slope between images, A and B: {' and '.join(spreads)}",) if spreads else (),
+    )
 
 
 def _reasons(kinds: Iterable[KindComparison], *names: str) -> list[str]:
