@@ -18,6 +18,9 @@ from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
 _BLOCK: Final = 1 << 18  # pairs of boxes compared at a time, chosen: they fit into a cache
 
+CLEARANCE: Final = 1.5e-3
+"""Metres, chosen: triangles closer than this cross, as fine ones may between the vertices of coarse ones."""
+
 _FEW: Final = 64  # triangles, chosen: organs with so few are not made coarser
 
 Corners = tuple[SingleArray, SingleArray, SingleArray]
@@ -39,9 +42,11 @@ class CoarseTriangles:
                 if key not in layouts or not isinstance(rows, slice):
                     layouts[key] = coarse_faces(organs.vertex_uv(organ), key[0])
                 coarse = layouts[key]
-                own = coarse + rows.start if isinstance(rows, slice) else rows[coarse]
-            used, corners = np.unique(own, return_inverse=True)
-            vertices.append(used.astype(np.intp))
+                used, corners = np.unique(coarse, return_inverse=True)
+                used = used + rows.start if isinstance(rows, slice) else rows[used]
+            else:
+                used, corners = np.unique(own.astype(np.intp), return_inverse=True)
+            vertices.append(used)
             faces.append(corners.reshape(-1, 3))
         self._vertices, self._faces = (_Runs(len(organs), chosen, parts) for parts in (vertices, faces))
         empty = np.empty(0, dtype=np.intp)
@@ -65,15 +70,16 @@ class CoarseTriangles:
     def boxes(
         self, organ: IndexArray, rotation: FloatArray, shift: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """`(e, 3)` lower and upper corners of the boxes of organs `(e,)` after motions."""
+        """`(e, 3)` corners of boxes, larger by the clearance, around organs `(e,)` after motions."""
         rows, position = self._vertices.of(organ)
         points = _transform(self._points[:, rows], rotation, shift, position)
-        return _bounds((points, points), self._vertices.starts(organ))
+        low, high = _bounds((points, points), self._vertices.starts(organ))
+        return low - CLEARANCE, high + CLEARANCE
 
     def count(
         self, organ: IndexArray, rotation: FloatArray, shift: FloatArray, entry: IndexArray, other: IndexArray
     ) -> IndexArray:
-        """Count pairs of triangles that cross.
+        """Count pairs of triangles that cross or are closer than the clearance.
 
         Args:
             organ: `(e,)` organs that move.
@@ -94,7 +100,8 @@ class CoarseTriangles:
         face, position = self._faces.of(organ)
         offset = self._vertices.starts(organ) - self._vertices.first[organ]
         corners = self._corners[:, face] + offset[position]
-        boxes = _boxes(points, corners)
+        low, high = _boxes(points, corners)
+        boxes = low - np.float32(CLEARANCE), high + np.float32(CLEARANCE)
         starts = self._faces.starts(organ)
         box = tuple(side.T.astype(np.float32) for side in _bounds(boxes, starts))
         # Of either organ the triangles near the box of the other.
@@ -199,19 +206,20 @@ def _overlapping_pairs(
     return rows, columns, pairs
 
 
-def crossing_triangles(one: Corners, two: Corners) -> IndexArray:
-    """Indices of the pairs of triangles that cross."""
-    rows = np.arange(one[0].shape[1])
+def crossing_triangles(one: Corners, two: Corners, clearance: float = CLEARANCE) -> IndexArray:
+    """Indices of pairs of triangles that cross, or do so after a move by the clearance along a normal."""
+    rows, near = np.arange(one[0].shape[1]), np.float32(clearance)
     for _ in range(2):
-        # Both triangles must have corners on both sides of the plane of the other.
+        # Both triangles must have corners on both sides of the plane of the other, or close to it.
         a, b, c = two
         normal = _cross_product(b - a, c - a)
+        reach = near * np.sqrt(_dot(normal, normal))
         x, y, z = (_dot(normal, corner - a) for corner in one)
-        straddles = np.minimum(np.minimum(x, y), z) < 0.0
-        straddles &= np.maximum(np.maximum(x, y), z) > 0.0
+        straddles = np.minimum(np.minimum(x, y), z) < reach
+        straddles &= np.maximum(np.maximum(x, y), z) > -reach
         kept = np.flatnonzero(straddles)
         one, two, rows = _select(two, kept), _select(one, kept), rows[kept]
-    return np.asarray(rows[_edge_hits(one, two) | _edge_hits(two, one)])
+    return np.asarray(rows[_edge_hits(one, two, near) | _edge_hits(two, one, near)])
 
 
 def _select(corners: Corners, rows: IndexArray) -> Corners:
@@ -219,23 +227,29 @@ def _select(corners: Corners, rows: IndexArray) -> Corners:
     return a[:, rows], b[:, rows], c[:, rows]
 
 
-def _edge_hits(one: Corners, two: Corners) -> NDArray[np.bool_]:
-    """Whether an edge of the first triangle passes through the second."""
+def _edge_hits(one: Corners, two: Corners, clearance: np.float32) -> NDArray[np.bool_]:
+    """Whether an edge of the first triangle passes through the second, there or moved along its normal."""
     origin = two[0]
     u, v = two[1] - origin, two[2] - origin
     normal = _cross_product(u, v)
     square = np.maximum(_dot(normal, normal), np.float32(1e-30))
+    reach = clearance * np.sqrt(square)
+    # The coordinates of a point on the triangle are its products with these.
+    along_u = (_cross_product(v, normal) / square).astype(np.float32)
+    along_v = (_cross_product(normal, u) / square).astype(np.float32)
     corners = [corner - origin for corner in one]
     heights = [_dot(normal, corner) for corner in corners]
+    places = [(_dot(along_u, corner), _dot(along_v, corner)) for corner in corners]
     hit = np.zeros(origin.shape[1], dtype=bool)
     for k in range(3):
-        start, end, h0, h1 = corners[k], corners[k - 2], heights[k], heights[k - 2]
-        change = h0 - h1
-        fraction = (h0 / np.where(change == 0.0, 1.0, change)).astype(np.float32)
-        point = start + fraction * (end - start)
-        s = _dot(_cross_product(point, v), normal) / square
-        t = _dot(_cross_product(u, point), normal) / square
-        hit |= (h0 * h1 <= 0.0) & (change != 0.0) & (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
+        h0, h1 = heights[k], heights[k - 2]
+        change = np.where(h0 == h1, np.float32(1.0), h0 - h1)
+        (s0, t0), (s1, t1) = places[k], places[k - 2]
+        for level in (-reach, np.float32(0.0), reach):
+            fraction = (h0 - level) / change
+            s, t = s0 + fraction * (s1 - s0), t0 + fraction * (t1 - t0)
+            crosses = ((h0 - level) * (h1 - level) <= 0.0) & (h0 != h1)
+            hit |= crosses & (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
     return hit
 
 

@@ -10,22 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contacts.cost import ContactCosts, swept_boxes, weighted_effort
-from pepperscene.geometry.contacts.crossings import CoarseTriangles
+from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import MovableUnit, RigidTransforms, disc_points, find_joints
 from pepperscene.geometry.contacts.organs import LEAF, SHOOT, STALK, STEM, Organs, boxes_overlap
 from pepperscene.geometry.contacts.pairs import PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 
-PASSES: Final = 10
+PASSES: Final = 16
 """Chosen: later passes free few leaves."""
 
-_POSES: Final = (4, 5, 6, 8, 10, 12)  # chosen: poses tried in each pass, then as in the last
+_POSES: Final = (4, 5, 6, 8, 12, 16, 24)  # chosen: poses tried in each pass, then as in the last
 _EXAMINED: Final = 3  # chosen: the best of these, examined with fruit, stems and the ground
 _PER_CROSSING: Final = 0.03  # cost of a pair of triangles that cross, chosen, beside 1 for the pair of organs
 _PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free poses the smallest is used
 _MIN_GAIN: Final = 0.2  # chosen
-_LARGE_UNITS: Final = 6  # chosen: shoots with several leaves move from this pass on
+_LARGE_UNITS: Final = 6  # chosen: from this pass on both organs are tried, and shoots with several leaves
 _BLOCK: Final = 128  # boxes compared at a time, chosen
 
 
@@ -96,7 +96,7 @@ class LeafSolver:
         changed[moved] = True
         leaves = self._examined[self._leafy[self._examined]]
         # Moved leaves with all organs; the other pairs have not changed, as nothing else moves here.
-        row, column = organs.close_pairs(leaves[changed[leaves]], self._examined, 0.0)
+        row, column = organs.close_pairs(leaves[changed[leaves]], self._examined, CLEARANCE)
         one, two = leaves[changed[leaves]][row], self._examined[column]
         kept = _must_not_cross(organs, one, two)
         if between_plants:
@@ -129,9 +129,9 @@ class LeafSolver:
             self._move(units[unit[place]], poses.angles[unit[place], pose[place]])
 
     def _select_units(self, number: int) -> list[MovableUnit]:
-        """The units to try: of every pair of one organ, in each fourth pass of both."""
+        """The units to try: of every pair of one organ, in some passes of both."""
         one, two = self._pairs.T
-        if number % 4 == 3:
+        if number % 4 == 3 or number >= _LARGE_UNITS:
             chosen = np.unique(self._pairs)
         else:
             # The organ that crosses more others moves, or the blade.
@@ -171,6 +171,7 @@ class LeafSolver:
         organs, members, owner, steps = self._organs, poses.members, poses.owner, poses.count
         others = self._examined
         low, high = swept_boxes(organs, members, owner, poses.transforms)
+        low, high = low - CLEARANCE, high + CLEARANCE
         row, column = _overlapping_boxes(low, high, organs.low[others], organs.high[others])
         other = others[column]
         inside = np.zeros((len(poses.units), len(organs)), dtype=bool)
