@@ -102,6 +102,13 @@ def units_of(organs: Organs, organ: int) -> list[MovableUnit]:
     return units
 
 
+def disc_points(count: int, phase: FloatArray) -> FloatArray:
+    """`(u, count, 2)` points evenly over unit discs, from the centre outwards, rotated by `(u,)` radians."""
+    step = np.arange(count) + 0.5
+    angle = phase[:, None] + np.pi * (3.0 - np.sqrt(5.0)) * step
+    return np.asarray((step / count)[:, None] ** 0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=2))
+
+
 @dataclass(frozen=True, eq=False)
 class RigidTransforms:
     """Rigid transforms of some units: every point p moves to rotation @ p + shift."""

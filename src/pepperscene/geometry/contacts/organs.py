@@ -107,9 +107,40 @@ class Organs:
         empty = np.empty(0, dtype=np.intp)
         return np.concatenate([empty, *rows]), np.concatenate([empty, *columns])
 
+    @property
+    def is_contiguous(self) -> bool:
+        """Whether the vertices of each organ are contiguous in the mesh."""
+        return self._vertices.order is None
+
+    def faces(self, organ: int) -> NDArray[np.uint32]:
+        """`(f, 3)` vertices of the triangles of an organ."""
+        return self.mesh.faces[self._face_runs.rows(organ)]
+
+    def vertex_rows(self, organ: int) -> slice | IndexArray:
+        """Indices of an organ's vertices in the mesh."""
+        return self._vertices.rows(organ)
+
+    def vertices_of(self, organs: IndexArray) -> tuple[IndexArray, IndexArray]:
+        """`(m,)` vertices of some organs, organ after organ, and the position of the organ of each."""
+        first = self._vertices.first[organs]
+        position, number = expand_counts(self._vertices.stop[organs] - first)
+        rows = first[position] + number
+        return rows if self._vertices.order is None else self._vertices.order[rows], position
+
+    def faces_of(self, organs: IndexArray) -> tuple[IndexArray, IndexArray]:
+        """`(m,)` faces of some organs, organ after organ, and the position of the organ of each."""
+        first = self._face_runs.first[organs]
+        position, number = expand_counts(self._face_runs.stop[organs] - first)
+        rows = first[position] + number
+        return rows if self._face_runs.order is None else self._face_runs.order[rows], position
+
     def original_vertices(self, organ: int) -> SingleArray:
         """`(v, 3)` vertices of an organ before all moves."""
         return self.mesh.vertices[self._vertices.rows(organ)]
+
+    def vertex_uv(self, organ: int) -> SingleArray:
+        """`(v, 2)` surface coordinates of an organ's vertices."""
+        return self.mesh.uv[self._vertices.rows(organ)]
 
     def vertex_v(self, organ: int) -> SingleArray:
         """`(v,)` surface coordinate v of an organ's vertices: 0 at its base, 1 at its tip."""

@@ -15,7 +15,15 @@ from pepperscene.geometry.contacts.cost import (
     weighted_effort,
 )
 from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
-from pepperscene.geometry.contacts.joints import JointRotation, MovableUnit, find_joints, rotations, units_of
+from pepperscene.geometry.contacts.joints import (
+    JointRotation,
+    MovableUnit,
+    disc_points,
+    find_joints,
+    rotations,
+    units_of,
+)
+from pepperscene.geometry.contacts.leaves import PASSES, LeafSolver
 from pepperscene.geometry.contacts.organs import FRUIT, boxes_overlap
 from pepperscene.geometry.contacts.pairs import CLEARANCE, PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh
@@ -77,6 +85,10 @@ class ContactSolver:
             contacts = contacts[self.detector.depths(*contacts.T) > _TOUCHING]
         return has_contacts
 
+    def free_leaves(self, passes: int) -> None:
+        """Rotate leaves and shoots that cross each other."""
+        LeafSolver(self.detector, self._angles, self._move, self._units_of).run(passes, self._rng)
+
     def _find_contacts(self) -> IndexArray:
         """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through."""
         pairs = self.detector.fruit_pairs(), self.detector.blade_pairs()
@@ -119,11 +131,14 @@ class ContactSolver:
 
     def _candidate_units(self, organ: int, other: int) -> list[MovableUnit]:
         """The units whose motion may resolve a contact, those of the other organ first."""
-        for touching in (organ, other):
-            if touching not in self._units:
-                self._units[touching] = units_of(self.organs, touching)
-        both = (*self._units[other], *self._units[organ])
+        both = (*self._units_of(other), *self._units_of(organ))
         return [unit for unit in both if not (organ in unit.members and other in unit.members)]
+
+    def _units_of(self, organ: int) -> list[MovableUnit]:
+        """The units that an organ belongs to, smallest first."""
+        if organ not in self._units:
+            self._units[organ] = units_of(self.organs, organ)
+        return self._units[organ]
 
     def _try_units(
         self, units: list[MovableUnit], places: list[list[int]], contacts: IndexArray, current_round: _Round
@@ -169,7 +184,7 @@ class ContactSolver:
         roots = np.array([unit.root for unit in units])
         current, weights = self._angles[roots][:, None], np.array([unit.weights for unit in units])[:, None]
         limits = np.array([unit.limits for unit in units])[:, None]
-        pattern = _disc_points(current_round.counts()[0], current_round.phase[roots])
+        pattern = disc_points(current_round.counts()[0], current_round.phase[roots])
         angles = np.concatenate([current, limits * pattern], axis=1)
         # Fruit on a stem only moves up: bending down would break the stalk.
         upwards = np.array([unit.on_stem and unit.bears_fruit for unit in units])
@@ -237,13 +252,6 @@ class ContactSolver:
         self._angles[unit.root] = angles
 
 
-def _disc_points(count: int, phase: FloatArray) -> FloatArray:
-    """`(u, count, 2)` points evenly over unit discs, from the centre outwards, rotated by `(u,)` radians."""
-    step = np.arange(count) + 0.5
-    angle = phase[:, None] + np.pi * (3.0 - np.sqrt(5.0)) * step
-    return np.asarray((step / count)[:, None] ** 0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=2))
-
-
 @dataclass(frozen=True, eq=False)
 class ResolvedMesh:
     """A mesh after its contacts have been resolved.
@@ -262,7 +270,7 @@ class ResolvedMesh:
 def resolve_contacts(
     mesh: Mesh, rng: np.random.Generator, *, between_plants: bool = False, rounds: int = _ROUNDS
 ) -> ResolvedMesh:
-    """Rotate parts of plants so that fruit touches nothing and blades do not run through stems.
+    """Rotate parts of plants so that fruit touches nothing and leaves do not run through each other or stems.
 
     Only the classes and parents of the instances are used, so this works for any crop. Units on either side
     of a contact are tried in a number of poses, and the smallest rotation that resolves it is made; leaves
@@ -282,5 +290,6 @@ def resolve_contacts(
     for number in range(rounds):
         if not solver.run_round(number):
             break
+    solver.free_leaves(min(rounds, PASSES))
     counts = current_counts(solver.detector)
     return ResolvedMesh(solver.organs.current_mesh(), tuple(solver.motions), counts)

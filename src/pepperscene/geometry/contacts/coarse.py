@@ -1,0 +1,60 @@
+"""Coarse triangles of organs, on some of the vertices of their meshes."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from pepperscene.geometry.contacts.organs import LEAF
+from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
+
+_ALONG: Final = 9  # rows of vertices along a blade between base and tip, chosen: every 15 mm
+_ACROSS: Final = 5  # vertices in a row, chosen
+_RINGS: Final = 7  # rings of a tube, chosen
+_AROUND: Final = 4  # vertices in a ring, chosen
+
+
+def coarse_faces(uv: SingleArray, organ_class: int) -> IndexArray:
+    """Choose `(f, 3)` triangles on some vertices of an organ with surface coordinates `(v, 2)`."""
+    wide = uv.astype(np.float64)
+    return _sheet_faces(wide) if organ_class == LEAF else _tube_faces(wide)
+
+
+def _sheet_faces(uv: FloatArray) -> IndexArray:
+    """Triangles of a blade: rows of vertices from margin to margin, without triangles between its lobes."""
+    place = np.stack([2.0 * uv[:, 0] - 1.0, 2.0 * uv[:, 1]], axis=1)
+    targets = [place[place[:, 1].argmin()], place[place[:, 1].argmax()]]
+    for along in 2.0 * np.arange(1, _ALONG + 1) / (_ALONG + 1):
+        out = place[np.abs(place[:, 1] - along) < 0.12, 0]
+        low, high = (out.min(), out.max()) if len(out) else (0.0, 0.0)
+        targets += [
+            np.array([x, along]) for x in np.interp(np.linspace(-1, 1, _ACROSS), [-1, 0, 1], [low, 0, high])
+        ]
+    nearest = [int(np.square(place - target).sum(axis=1).argmin()) for target in targets]
+    rows = np.unique(nearest)
+    faces = rows[Delaunay(place[rows]).simplices]
+    a, b, c = (place[faces[:, corner]] for corner in range(3))
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    centre = (a + b + c) / 3.0
+    gap = np.square(centre[:, None] - place).sum(axis=2).min(axis=1)
+    return np.asarray(faces[(area > 1e-3) & (gap < 0.15**2)], dtype=np.intp)
+
+
+def _tube_faces(uv: FloatArray) -> IndexArray:
+    """Triangles of a closed body: some of its rings, some vertices of each."""
+    levels = np.unique(np.round(uv[:, 1], 4))
+    chosen = np.unique(np.round(np.linspace(0, len(levels) - 1, _RINGS)).astype(np.intp))
+    rings = []
+    for level in levels[chosen]:
+        ring = np.flatnonzero(np.abs(uv[:, 1] - level) < 1e-3)
+        nearest = np.abs(uv[ring, 0] - np.arange(_AROUND)[:, None] / _AROUND).argmin(axis=1)
+        rings.append(ring[nearest])
+    low, high = np.array(rings[:-1]), np.array(rings[1:])
+    after = [np.roll(ring, -1, axis=1) for ring in (low, high)]
+    faces = np.concatenate([np.stack([low, after[0], after[1]], -1), np.stack([low, after[1], high], -1)])
+    faces = faces.reshape(-1, 3)
+    # The ends may be single points.
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return np.asarray(faces[distinct])

@@ -1,0 +1,263 @@
+"""Leaves that pass through other leaves and stalks: the smallest of some rotations that frees them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.geometry.contacts.cost import ContactCosts, swept_boxes, weighted_effort
+from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles
+from pepperscene.geometry.contacts.detect import ContactDetector
+from pepperscene.geometry.contacts.joints import MovableUnit, RigidTransforms, disc_points, find_joints
+from pepperscene.geometry.contacts.organs import LEAF, SHOOT, STALK, STEM, Organs, boxes_overlap
+from pepperscene.geometry.contacts.pairs import PairRules
+from pepperscene.geometry.mesh import FloatArray, IndexArray
+
+PASSES: Final = 16
+"""Chosen: later passes free few leaves."""
+
+_POSES: Final = (4, 5, 6, 8, 12, 16, 24)  # chosen: poses tried in each pass, then as in the last
+_EXAMINED: Final = 3  # chosen: the best of these, examined with fruit, stems and the ground
+_PER_CROSSING: Final = 0.03  # cost of a pair of triangles that cross, chosen, beside 1 for the pair of organs
+_PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free poses the smallest is used
+_MIN_GAIN: Final = 0.2  # chosen
+_LARGE_UNITS: Final = 6  # chosen: from this pass on both organs are tried, and shoots with several leaves
+_BLOCK: Final = 128  # boxes compared at a time, chosen
+
+
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """Candidate poses of the organs of some units, the current pose first."""
+
+    units: Sequence[MovableUnit]
+    angles: FloatArray  # `(u, k, 2)` radians
+    transforms: RigidTransforms  # `(u, k)`
+    members: IndexArray  # `(m,)` organs of the units, unit after unit
+    owner: IndexArray  # `(m,)` index of the unit of each
+    # `(m * k, ...)` of each member in each pose
+    rotation: FloatArray
+    shift: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of poses of a unit."""
+        return int(self.angles.shape[1])
+
+
+class LeafSolver:
+    """Moves leaves and shoots that cross each other, other stalks, or stems they do not grow on.
+
+    All units that may free a pair are tried from the current poses. Then the best pose of each is taken, the
+    largest gain first, unless it crosses one that has been taken already.
+
+    Args:
+        detector: of the organs.
+        angles: `(n, 2)` current angles of the units by their first organ; `move` changes them.
+        move: moves a unit to some angles.
+        units_of: the units that an organ belongs to, smallest first.
+    """
+
+    def __init__(
+        self,
+        detector: ContactDetector,
+        angles: FloatArray,
+        move: Callable[[MovableUnit, FloatArray], None],
+        units_of: Callable[[int], list[MovableUnit]],
+    ) -> None:
+        self._detector, self._organs = detector, detector.organs
+        self._angles, self._move, self._units_of = angles, move, units_of
+        self._leafy = np.isin(self._organs.organ_class, [LEAF, SHOOT])
+        self._examined = self._organs.of_class(LEAF, SHOOT, STALK, STEM)
+        self._triangles = CoarseTriangles(self._organs, self._examined)
+        self._pairs = np.empty((0, 2), dtype=np.intp)
+
+    def run(self, passes: int, rng: np.random.Generator) -> None:
+        """Try to free all leaves, at most so many times; `rng` decides the candidate poses."""
+        moved, between = np.arange(len(self._organs)), self._detector.between_plants
+        for number in range(passes):
+            self._detect(moved, between_plants=between and number == 0)
+            if not len(self._pairs):
+                return
+            before = self._organs.moves
+            self._run_pass(number, rng.uniform(0.0, 2.0 * np.pi, len(self._organs)))
+            moved = np.flatnonzero(self._organs.moved_at > before)
+
+    def _detect(self, moved: IndexArray, *, between_plants: bool) -> None:
+        """Update the pairs of organs that cross after some have moved."""
+        organs = self._organs
+        self._triangles.update()
+        changed = np.zeros(len(organs), dtype=bool)
+        changed[moved] = True
+        leaves = self._examined[self._leafy[self._examined]]
+        # Moved leaves with all organs; the other pairs have not changed, as nothing else moves here.
+        row, column = organs.close_pairs(leaves[changed[leaves]], self._examined, CLEARANCE)
+        one, two = leaves[changed[leaves]][row], self._examined[column]
+        kept = _must_not_cross(organs, one, two)
+        if between_plants:
+            kept &= organs.plant[one] != organs.plant[two]
+        one, two = one[kept], two[kept]
+        # Each pair once, by the organ that comes first.
+        key = np.unique(np.minimum(one, two) * len(organs) + np.maximum(one, two))
+        one, two = key // len(organs), key % len(organs)
+        distinct, entry = np.unique(one, return_inverse=True)
+        still = np.tile(np.eye(3), (len(distinct), 1, 1)), np.zeros((len(distinct), 3))
+        crosses = self._triangles.count(distinct, *still, entry, two) > 0
+        unchanged = self._pairs[~changed[self._pairs].any(axis=1)]
+        self._pairs = np.concatenate([unchanged, np.stack([one, two], axis=1)[crosses]])
+
+    def _run_pass(self, number: int, phase: FloatArray) -> None:
+        """Try some units once, and move those that gain."""
+        units = self._select_units(number)
+        if not units:
+            return
+        poses = self._candidate_poses(units, _POSES[min(number, len(_POSES) - 1)], phase)
+        unit, pose, gain = self._best_poses(poses, self._crossing_cost(poses))
+        if not len(unit):
+            return
+        clashes = self._clashes(poses, unit, pose)
+        taken: set[int] = set()
+        for place in np.argsort(-gain, kind="stable").tolist():
+            if taken.isdisjoint(clashes.get(place, ())):
+                taken.add(place)
+        for place in sorted(taken):
+            self._move(units[unit[place]], poses.angles[unit[place], pose[place]])
+
+    def _select_units(self, number: int) -> list[MovableUnit]:
+        """The units to try: of every pair of one organ, in some passes of both."""
+        one, two = self._pairs.T
+        if number % 4 == 3 or number >= _LARGE_UNITS:
+            chosen = np.unique(self._pairs)
+        else:
+            # The organ that crosses more others moves, or the blade.
+            rank = np.bincount(self._pairs.ravel(), minlength=len(self._organs)).astype(np.float64)
+            rank += 0.5 * (self._organs.organ_class == LEAF)
+            if number % 2:
+                rank += np.arange(len(rank)) % 7 / 3.0  # chosen: another choice in other passes
+            rank[~self._leafy] = -1.0
+            chosen = np.unique(np.where(rank[one] >= rank[two], one, two))
+        units = {}
+        for organ in chosen[self._leafy[chosen]].tolist():
+            # Units that bear fruit stay.
+            group = [unit for unit in self._units_of(organ) if self._leafy[list(unit.members)].all()]
+            if group:
+                # The blade alone and the leaf with its stalk in turns, later the shoot too.
+                unit = group[number % min(len(group), 2 if number < _LARGE_UNITS else 3)]
+                units[unit.root] = unit
+        return list(units.values())
+
+    def _candidate_poses(self, units: list[MovableUnit], count: int, phase: FloatArray) -> _Poses:
+        roots = np.array([unit.root for unit in units])
+        current, limits = self._angles[roots][:, None], np.array([unit.limits for unit in units])[:, None]
+        angles = np.concatenate([current, limits * disc_points(count, phase[roots])], axis=1)
+        transforms = find_joints(self._organs, units).transforms(angles - current)
+        members = np.concatenate([np.array(unit.members) for unit in units])
+        owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
+        solid = self._organs.solid[members]
+        members, owner = members[solid], owner[solid]
+        steps = angles.shape[1]
+        entry = np.repeat(np.arange(len(members)), steps)
+        part = transforms.select((owner[entry], np.tile(np.arange(steps), len(members))))
+        boxes = self._triangles.boxes(members[entry], part.rotation, part.shift)
+        return _Poses(units, angles, transforms, members, owner, part.rotation, part.shift, *boxes)
+
+    def _crossing_cost(self, poses: _Poses) -> FloatArray:
+        """`(u, k)` costs of what crosses in each pose."""
+        organs, members, owner, steps = self._organs, poses.members, poses.owner, poses.count
+        others = self._examined
+        low, high = swept_boxes(organs, members, owner, poses.transforms)
+        low, high = low - CLEARANCE, high + CLEARANCE
+        row, column = _overlapping_boxes(low, high, organs.low[others], organs.high[others])
+        other = others[column]
+        inside = np.zeros((len(poses.units), len(organs)), dtype=bool)
+        inside[owner, members] = True
+        kept = _must_not_cross(organs, members[row], other) & ~inside[owner[row], other]
+        entry = (row[kept, None] * steps + np.arange(steps)).ravel()
+        other = np.repeat(other[kept], steps)
+        near = boxes_overlap(poses.low[entry], poses.high[entry], organs.low[other], organs.high[other])
+        entry, other = entry[near], other[near]
+        moving = np.repeat(members, steps)
+        number = self._triangles.count(moving, poses.rotation, poses.shift, entry, other)
+        cost = np.zeros((len(poses.units), steps))
+        each = np.where(number > 0, 1.0 + _PER_CROSSING * number, 0.0)
+        np.add.at(cost, (owner[entry // steps], entry % steps), each)
+        weights = np.array([unit.weights for unit in poses.units])[:, None]
+        return cost + _PER_DEGREE * weighted_effort(poses.angles, weights)
+
+    def _best_poses(self, poses: _Poses, cost: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
+        """Units with a better pose that is not nearer to fruit, stems or the ground: unit, pose and gain."""
+        order = np.argsort(cost, axis=1, kind="stable")[:, :_EXAMINED]
+        gain = cost[:, :1] - np.take_along_axis(cost, order, axis=1)
+        better = gain > _MIN_GAIN
+        rows = np.flatnonzero(better.any(axis=1))
+        if not len(rows):
+            return rows, rows, np.empty(0)
+        steps = np.concatenate([np.zeros((len(rows), 1), dtype=np.intp), order[rows]], axis=1)
+        transforms = poses.transforms.select((rows[:, None], steps))
+        units = [poses.units[row] for row in rows.tolist()]
+        rules = PairRules(self._detector, hard=True)
+        contact = ContactCosts(rules, units, transforms).cost(np.arange(len(rows)), transforms, 1)
+        free = (contact[:, 1:] <= contact[:, :1]) & better[rows]
+        kept = np.flatnonzero(free.any(axis=1))
+        first = free[kept].argmax(axis=1)
+        return rows[kept], order[rows[kept], first], gain[rows[kept], first]
+
+    def _clashes(self, poses: _Poses, unit: IndexArray, pose: IndexArray) -> dict[int, list[int]]:
+        """For some units in new poses, by position, those that cross each other there or share organs."""
+        place = np.full(len(poses.units), -1)
+        place[unit] = np.arange(len(unit))
+        rows = np.flatnonzero(place[poses.owner] >= 0)
+        organ, number = poses.members[rows], place[poses.owner[rows]]
+        entry = rows * poses.count + pose[number]
+        low, high = poses.low[entry], poses.high[entry]
+        i, j = _overlapping_boxes(low, high, low, high)
+        different = number[i] < number[j]
+        i, j = i[different], j[different]
+        shared = organ[i] == organ[j]
+        kept = _must_not_cross(self._organs, organ[i], organ[j])
+        k, m = i[kept], j[kept]
+        # Instead of moving both, move the first relative to the second.
+        back = poses.rotation[entry[m]].swapaxes(1, 2)
+        rotation = np.matmul(back, poses.rotation[entry[k]])
+        shift = np.matmul(back, (poses.shift[entry[k]] - poses.shift[entry[m]])[:, :, None])[:, :, 0]
+        crosses = self._triangles.count(organ[k], rotation, shift, np.arange(len(k)), organ[m]) > 0
+        clashes: dict[int, list[int]] = {}
+        for first, second in zip(
+            np.concatenate([number[i[shared]], number[k[crosses]]]).tolist(),
+            np.concatenate([number[j[shared]], number[m[crosses]]]).tolist(),
+            strict=True,
+        ):
+            clashes.setdefault(first, []).append(second)
+            clashes.setdefault(second, []).append(first)
+        return clashes
+
+
+def _overlapping_boxes(
+    low: FloatArray, high: FloatArray, other_low: FloatArray, other_high: FloatArray
+) -> tuple[IndexArray, IndexArray]:
+    """Rows of two tables of boxes, `(n, 3)` corners, that overlap."""
+    rows, columns = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
+    for start in range(0, len(low), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        row, column = np.nonzero(boxes_overlap(low[block, None], high[block, None], other_low, other_high))
+        rows.append(start + row)
+        columns.append(column)
+    return np.concatenate(rows), np.concatenate(columns)
+
+
+def _must_not_cross(organs: Organs, one: IndexArray, two: IndexArray) -> NDArray[np.bool_]:
+    """`(n,)` whether two organs of different units are a blade and any other, or a leaf stalk and a stem.
+
+    Organs that grow on one another are joined, and stalks that grow on the same organ may touch at their
+    feet.
+    """
+    kind, parent = organs.organ_class, organs.parent
+    kept = (one != two) & (parent[one] != two) & (parent[two] != one)
+    blade = (kind[one] == LEAF) | (kind[two] == LEAF)
+    siblings = (parent[one] == parent[two]) & (parent[one] >= 0)
+    return np.asarray(kept & (blade | (~siblings & (kind[one] != STALK) & (kind[two] != STALK))))
