@@ -241,17 +241,18 @@ def _tube_capsules(organs: Organs, tubes: Sequence[int]) -> tuple[Capsules, Inde
     ]
     owner = np.repeat(np.arange(len(tubes)), [len(group) for group in vertices])
     points = np.concatenate(vertices)
-    # The vertices of a ring have the same v.
+    # The vertices of a ring follow one another and have the same v; along twine v repeats.
     v = np.round(np.concatenate([organs.vertex_v(tube) for tube in tubes]).astype(np.float64) * 1e5)
-    key, ring = np.unique(owner * 2**20 + v.astype(np.int64), return_inverse=True)
-    tube_of = key >> 20
+    starts_ring = (np.diff(v, prepend=-1.0) != 0.0) | (np.diff(owner, prepend=-1) != 0)
+    ring = np.cumsum(starts_ring) - 1
+    tube_of = owner[starts_ring]
     number = np.bincount(ring)
     centre = np.stack([np.bincount(ring, column) for column in points.T], axis=1) / number[:, None]
-    radius = np.zeros(len(key))
+    radius = np.zeros(len(tube_of))
     np.maximum.at(radius, ring, np.sqrt(np.square(points - centre[ring]).sum(axis=1)))
     # A piece starts at the first ring of each centimetre, and ends where the next starts or at the last ring.
     first = np.searchsorted(tube_of, np.arange(len(tubes)))
-    last = np.append(first[1:], len(key)) - 1
+    last = np.append(first[1:], len(tube_of)) - 1
     steps = np.sqrt(np.square(np.diff(centre, axis=0, prepend=centre[:1])).sum(axis=1))
     steps[first] = 0.0
     along = np.cumsum(steps)
@@ -261,7 +262,7 @@ def _tube_capsules(organs: Organs, tubes: Sequence[int]) -> tuple[Capsules, Inde
     starts[last] = False
     starts[first[first == last]] = True
     start = np.flatnonzero(starts)
-    end = np.minimum(np.append(start[1:], len(key)), last[tube_of[start]])
+    end = np.minimum(np.append(start[1:], len(tube_of)), last[tube_of[start]])
     widest = np.maximum(np.maximum.reduceat(radius, start), radius[end])
     capsules = Capsules(centre[start], centre[end] - centre[start], widest)
     return capsules, np.bincount(tube_of[start], minlength=len(tubes))
