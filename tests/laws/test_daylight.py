@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pepperscene.scene import Cover, load_cover, partly_cloudy_sky
-from pepperscene.spectra import Spectrum, sky_spectrum, sun_spectrum
+from pepperscene.spectra import Spectrum, daylight_basis, sun_spectrum
 
 PAPER = {
     "illuminance_lx": 5500.0,
@@ -73,7 +73,7 @@ def test_light_below_any_cover_is_the_requested_one(cover, sun, sun_fraction, cl
     assert parts.sum() + disc == pytest.approx(illuminance_lx, rel=1e-3)
     assert sky.horizontal_illuminance() == pytest.approx(illuminance_lx, rel=1e-5)
     # The lobe gains what the disc loses.
-    lobe = parts[2] if len(parts) == 3 else 0.0
+    lobe = parts[4] if len(parts) == 5 else 0.0
     haze = cover.haze if cover else 0.0
     assert lobe + disc == pytest.approx(sun_fraction * illuminance_lx, rel=1e-3)
     assert lobe == pytest.approx(haze * sun_fraction * illuminance_lx, rel=1e-3)
@@ -88,16 +88,18 @@ def test_cover_filters_sky_clouds_and_sun(haze):
     # Except for a common factor that sets the lux, every light is multiplied by the transmittance.
     below = sky_of(hazy(haze))
     nm = np.arange(300.0, 1101.0, 5.0)
-    lights = [sky_spectrum("d75"), sky_spectrum("d65"), sun_spectrum()]
-    spectra = list(below.radiance.at(nm)) + ([below.sun.irradiance.at(nm)] if below.sun else [])
-    expected = [lights[i].at(nm) * GREEN.at(nm) for i in range(len(below.weights))]
-    expected += [lights[2].at(nm) * GREEN.at(nm)] if below.sun else []
+    basis, sun = daylight_basis(), sun_spectrum(PAPER["sun_elevation_rad"])
+    lights = [*basis.at(nm), sun.at(nm)]
+    sky = [0, 1, 2, 4][: len(below.weights) - 1]  # the fourth is the floor's
+    spectra = list(below.radiance.at(nm)[sky]) + ([below.sun.irradiance.at(nm)] if below.sun else [])
+    expected = [lights[i] * GREEN.at(nm) for i in range(len(sky))]
+    expected += [lights[3] * GREEN.at(nm)] if below.sun else []
     for a, b in zip(spectra, expected, strict=True):
         np.testing.assert_allclose(a / a.max(), b / b.max(), rtol=1e-9, atol=1e-12)
 
 
-def test_coloured_cover_changes_the_ratio_of_blue_sky_and_clouds():
-    # Through a red filter the blue sky is darker against the clouds.
+def test_coloured_cover_changes_the_ratio_of_blue_and_pale_daylight():
+    # Through a red filter the blue parts of the sky are darker against the pale ones.
     red = Spectrum(np.array([590.0, 610.0]), np.array([0.0, 0.9]), "hold")
     ratios = []
     for cover in (None, Cover("red", red)):
@@ -105,12 +107,14 @@ def test_coloured_cover_changes_the_ratio_of_blue_sky_and_clouds():
         upper = slice(0, sky.weights.shape[1] // 4)
         sums = sky.weights[:, upper].astype(float).sum(axis=(1, 2))
         ratios.append(sums[0] * lux(sky.radiance)[0] / (sums[1] * lux(sky.radiance)[1]))
-    blue, white = (
-        lux(Spectrum(s.wavelength_nm, s.values * red.at(s.wavelength_nm))) / lux(s)
-        for s in (sky_spectrum("d75"), sky_spectrum("d65"))
+    basis = daylight_basis()
+    blue, pale = (
+        lux(Spectrum(basis.wavelength_nm, row * red.at(basis.wavelength_nm)))
+        / lux(Spectrum(basis.wavelength_nm, row))
+        for row in basis.values[:2]
     )
-    assert blue < 0.97 * white
-    assert ratios[1] / ratios[0] == pytest.approx(blue / white, rel=1e-3)
+    assert blue < 0.97 * pale
+    assert ratios[1] / ratios[0] == pytest.approx(blue / pale, rel=1e-3)
 
 
 @pytest.mark.parametrize("azimuth_deg", [90.0, -90.0, 10.0])
@@ -124,7 +128,7 @@ def test_lobe_is_centred_on_the_sun(azimuth_deg, elevation_deg):
     polar = (np.arange(rows)[:, None] + 0.5) / rows * np.pi
     azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
     x, y = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth)
-    energy = sky.weights[2] * np.sin(polar)
+    energy = sky.weights[4] * np.sin(polar)
     mean = np.array([(axis * energy).sum() for axis in (x, y, np.cos(polar))])
     mean /= np.linalg.norm(mean)
     # The horizon cuts a low sun's lobe, which raises its mean direction but keeps its azimuth.
@@ -141,10 +145,10 @@ def test_unscattered_sunlight_stays_a_disc():
     assert half.sun.angular_radius == clear.sun.angular_radius
     assert lux(half.sun.irradiance) == pytest.approx(0.5 * lux(clear.sun.irradiance), rel=1e-4)
     assert full.sun is None
-    assert len(clear.weights) == 2
-    assert len(half.weights) == len(full.weights) == 3
+    assert len(clear.weights) == 4
+    assert len(half.weights) == len(full.weights) == 5
     # Without a sun there is no lobe.
-    assert len(sky_of(hazy(0.5), sun_fraction=0.0).weights) == 2
+    assert len(sky_of(hazy(0.5), sun_fraction=0.0).weights) == 4
 
 
 def test_clear_cover_does_not_change_the_distribution_of_radiance():
@@ -159,17 +163,19 @@ def test_haze_smooths_the_scattered_fraction_of_clouds():
     def sharpness(haze):
         sky = sky_of(hazy(haze, 12.0), sun_fraction=0.0, cloud_cover=0.4)
         rows = sky.weights.shape[1]
-        return np.diff(sky.weights[1, rows // 16 : rows // 3].astype(float), n=2, axis=1).std()
+        return np.diff(sky.weights[:3, rows // 16 : rows // 3].sum(axis=0, dtype=float), n=2, axis=1).std()
 
     clear = sharpness(0.0)
     assert sharpness(0.5) == pytest.approx(0.5 * clear, rel=0.1)
     assert sharpness(1.0) < 0.02 * clear
 
 
-def test_floor_is_as_bright_as_without_a_cover():
-    # Its luminance follows from the light that it receives, which is the same.
+@pytest.mark.parametrize("leaf_area_index", [0.0, 4.0])
+def test_floor_is_as_bright_as_without_a_cover(leaf_area_index):
+    # Its luminance follows from the light that it receives, the same below a grey cover without haze.
+    grey = Cover("grey", Spectrum(np.array([300.0, 1100.0]), np.array([0.5, 0.5]), "hold"))
     floors = []
-    for sky in (sky_of(), sky_of(hazy(0.6))):
-        assert not sky.weights[[0, *range(2, len(sky.weights))], -20:].any()
-        floors.append(sky.weights[1, -1, 0] * lux(sky.radiance)[1])
+    for sky in (sky_of(leaf_area_index=leaf_area_index), sky_of(grey, leaf_area_index=leaf_area_index)):
+        assert not sky.weights[[0, 1, 2, *range(4, len(sky.weights))], -20:].any()
+        floors.append(sky.weights[3, -1, 0] * lux(sky.radiance)[3])
     assert floors[0] == pytest.approx(floors[1], rel=1e-4)

@@ -25,7 +25,8 @@ def name(path: Path) -> str:
 @pytest.mark.parametrize("path", SHIPPED, ids=name)
 def test_shipped_files_are_valid_and_have_a_provenance(path):
     spectra = read_spectra(path)
-    assert all(s.values.min() >= 0 for s in spectra.values())
+    if path.stem != "cie_daylight_components":  # characteristic vectors have both signs
+        assert all(s.values.min() >= 0 for s in spectra.values())
     provenance = read_provenance(path)
     assert all((provenance.title, provenance.source, provenance.licence, provenance.unit))
     assert (provenance.kind == "MODEL") == ("MODEL" in path.stem)

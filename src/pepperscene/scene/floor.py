@@ -40,17 +40,25 @@ def transmitted_daylight(leaf_area_index: float, sun_elevation_rad: float) -> tu
     """Fractions of skylight and of sunlight that reach the floor below a homogeneous crop.
 
     Light along a path of the zenith angle t meets leaves like a random medium: exp(-k L / cos t) of it passes
-    the leaf area index L (Monsi & Saeki 1953). k is 0.5 for leaves of all orientations that absorb all light,
-    and 0.5 sqrt(1 - s) for leaves that scatter the fraction s (Goudriaan 1977). The mean of that over a
-    uniform sky is 2 E3(k L), with the exponential integral E3 (Ross 1981).
+    the leaf area index L (Monsi & Saeki 1953). For leaves of all orientations, k is 0.5 if they absorb all
+    light, and 0.5 sqrt(1 - s) if they scatter the fraction s. A crop of such leaves reflects, seen from
+    below as well, so that of what would pass a fraction leaves it upwards (Goudriaan 1977, Crop
+    micrometeorology). The mean of the exponential over a uniform sky is 2 E3(k L), with the exponential
+    integral E3 (Ross 1981). A traced canopy of random leaves has the result within 5 %
+    (`tests/laws/test_floor_light.py`). Aisles, through which more light passes, are not considered.
 
     Args:
         leaf_area_index: one-sided leaf area over floor area; 0 lets all light pass.
         sun_elevation_rad: above the horizon.
     """
-    optical_depth = 0.5 * np.sqrt(1.0 - _leaf_scattering()) * leaf_area_index
+    root = np.sqrt(1.0 - _leaf_scattering())
+    optical_depth = 0.5 * root * leaf_area_index
     skylight = 2.0 * expn(3, optical_depth)
     sunlight = np.exp(-optical_depth / max(float(np.sin(sun_elevation_rad)), 1e-3))
+    # Reflectance of a crop of infinite depth; a finite one reflects on both of its sides.
+    reflected = ((1.0 - root) / (1.0 + root)) ** 2
+    passing = (1.0 - reflected) / (1.0 - reflected * skylight**2)
+    skylight, sunlight = passing * skylight, passing * sunlight
     return Spectrum(_NM, skylight, "hold"), Spectrum(_NM, sunlight, "hold")
 
 
