@@ -19,6 +19,7 @@ from pepperscene.dataset.recipe.frame_values import frame_values
 from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.views.camera_views import CameraViews
+from pepperscene.errors import InputError
 from pepperscene.scene import Greenhouse
 
 FRAMES = 600
