@@ -19,6 +19,7 @@ from pepperscene.dataset.recipe.frame_values import frame_values
 from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.views.camera_views import CameraViews
+from pepperscene.errors import InputError
 from pepperscene.scene import Greenhouse
 
 FRAMES = 600
@@ -164,6 +165,35 @@ def test_values_of_the_cultivar_vary(tmp_path):
         assert 60 <= mean_mm <= 80
         assert setup.cultivar.stem.parts == setup.drawn["override.stem.parts"]
         assert setup.cultivar.stem.parts in (10, 11, 12)
+
+
+def test_values_in_lists_of_the_cultivar_vary(tmp_path):
+    """The bins of a histogram, whose weights keep their sum, and a limit."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'extends = "barth2018"\n[override.organs.lamina]\n'
+        'residue = { uniform = [0, { low = 0.1, high = 0.5, per = "set" }], chosen = "x" }\n'
+        "ageing = { histogram = [\n"
+        '    [0, 0, { low = 0.5, high = 1, per = "set", draw = "age" }],\n'
+        '    [0.1, 0.3, { low = 0, high = 0.5, per = "set", draw = "age", reversed = true }],\n'
+        '], chosen = "x" }\n'
+    )
+    resolved = resolve_recipe(path)
+    setups = FrameSetups(resolved)
+    highs = set()
+    for set_index in range(6):
+        setup = setups.at(resolved.recipe.plan.frame(set_index * 7 * 250))
+        lamina = setup.cultivar.organs["lamina"].distributions
+        highs.add(lamina["residue"].high)
+        assert lamina["residue"].high == setup.drawn["override.organs.lamina.residue.uniform.1"]
+        healthy = setup.drawn["override.organs.lamina.ageing.histogram.0.2"]
+        assert lamina["ageing"].bins[0] == pytest.approx((0.0, 0.0, healthy))
+    assert len(highs) == 6
+
+
+def test_bins_of_a_varied_value_ascend(load):
+    with pytest.raises(InputError, match="each bin of the histogram must ascend"):
+        load("views.pitch_deg = { histogram = [[0, 0, 0.3], [1, 2, 0.7]] }")
 
 
 TWINS = (
