@@ -267,7 +267,7 @@ def test_leaves_of_neighbours_do_not_run_through_each_other(row: Mesh) -> None:
     ("name", "rate"), [("kaite", 0.05), ("orange_pointed", 0.05), ("red_blocky", 0.05), ("tomato", None)]
 )
 def test_leaves_of_a_plant_do_not_run_through_each_other(name: str, rate: float | None) -> None:
-    """A quarter of the leaflets of a tomato touch others at their lobes, by less than 3 mm, before and after."""
+    """A quarter of a tomato's leaflets touch others at their lobes, by less than 3 mm, before and after."""
     with_blades, with_stalks, deep = leaf_rates(resolved(load_cultivar(name), 1))
     assert rate is None or with_blades < rate
     assert with_stalks < 0.03
