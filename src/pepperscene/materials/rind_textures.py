@@ -26,9 +26,9 @@ PATCHES: Final = 0.045  # standard deviation of ripeness in patches that turn ea
 SPECKLE: Final = 0.012  # and in fine speckle
 PATCH_MM: Final = (25.0, 50.0)  # shortest and longest wavelength of the patches
 SPECKLE_MM: Final = (3.0, 6.0)
-WAVINESS_MM: Final = 0.035
-"""Standard deviation of the height of a fruit's skin at the wavelengths `WAVE_MM`: chosen, in the middle of
-20 to 50 micrometres, which make the edges of highlights uneven by some degrees."""
+WAVINESS_MM: Final = 0.012
+"""Standard deviation of the height of a fruit's skin at the wavelengths `WAVE_MM`: chosen, a third of the 20 to
+50 micrometres between crests and troughs that make the edges of highlights uneven by a degree or two."""
 WAVE_MM: Final = (3.0, 8.0)
 BODY_EXPONENT: Final = 2.6
 """Of the superellipse that stands for a fruit's profile: chosen, between a round and a blocky one."""
