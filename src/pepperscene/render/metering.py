@@ -49,7 +49,7 @@ def metered_light(
         seed: of the frame.
         bounces: scattering events after the first hit, as in the frame: by daylight, a greenhouse loses some
             per cent of its light without the second.
-        most_bounces: likewise, where the frame needs long paths.
+        most_bounces: likewise, of daylight, and of the flash where it needs long paths.
 
     Returns:
         Daylight, and the light of the flash while it is on, `(h, w, c)` each, electrons s-1 m-2 sr-1; zeros
@@ -66,13 +66,15 @@ def metered_light(
     response = spectral_response(small, scene)
     kernel_scene = light_scene_of(float(response.grid_nm[0]), float(response.grid_nm[-1]))
     rays, sky = camera_rays(small, coordinates), sky_tables(scene, response.grid_nm)
-    most = most_bounces if needs_long_paths(scene, spectral_response(camera, scene)) else 0
-    sampling = Sampling(_SAMPLES, _SAMPLES, bounces, most_bounces=most)
+    # The frame's exposure, and so its mixture of both lights, is not known yet.
+    long = Sampling(_SAMPLES, _SAMPLES, bounces, most_bounces=most_bounces)
+    is_long = needs_long_paths(dataclasses.replace(scene, sky=None), response)
+    by_flash = long if is_long else dataclasses.replace(long, most_bounces=0)
     first, second = np.random.SeedSequence(seed, spawn_key=(_BRANCH,)).generate_state(2).tolist()
 
     daylight = flash = np.zeros((small.height, small.width, small.sensor.channels), np.float32)
     if sky is not None:
-        daylight = denoised(trace(kernel_scene, rays, response, None, sky, sampling, first))
+        daylight = denoised(trace(kernel_scene, rays, response, None, sky, long, first))
     if small.flash is not None:
-        flash = denoised(trace(kernel_scene, rays, response, small.flash, None, sampling, second))
+        flash = denoised(trace(kernel_scene, rays, response, small.flash, None, by_flash, second))
     return daylight, flash
