@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pepperscene.geometry
+from pepperscene.classes import OrganClass
 from pepperscene.cultivar import interpolate_cultivars, load_cultivar
 from pepperscene.dataset import FrameRenderer, grow_plant, load_recipe
 from pepperscene.dataset.recipe.plan import Stream, random_generator
@@ -38,9 +39,12 @@ def test_single_plant_is_grown_meshed_and_free_of_contacts(february):
     ]
     assert grown.contacts == pepperscene.geometry.count_contacts(grown.mesh)
     # Organs have the poses of the mesh, also those that were moved.
-    np.testing.assert_allclose(
-        pepperscene.geometry.mesh_plant(grown.plant, 0.5).vertices, grown.mesh.vertices, atol=1e-4
-    )
+    again = pepperscene.geometry.mesh_plant(grown.plant, 0.5)
+    distance = np.linalg.norm(again.vertices - grown.mesh.vertices, axis=1)
+    rigid = np.isin(again.face_class, [OrganClass.LEAF, OrganClass.PEPPER])
+    assert distance[np.unique(again.faces[rigid])].max() < 1e-4
+    # Stalks are meshed to fit what they join, so a kink in a joint changes their shape a little.
+    assert distance.max() < 2e-3
     for seed in (3, np.int64(3)):
         np.testing.assert_array_equal(vertices(february, seed, detail=0.5), grown.mesh.vertices)
     assert not np.array_equal(vertices(february, 4, detail=0.5), grown.mesh.vertices)

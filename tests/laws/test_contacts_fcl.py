@@ -253,7 +253,7 @@ def leaf_rates(mesh: Mesh) -> tuple[float, float, float]:
 
 
 def test_leaves_of_neighbours_do_not_run_through_each_other(row: Mesh) -> None:
-    """Measured: 126 pairs of blades before, 6 after of 695 blades; one pair is deeper than 3 mm."""
+    """A fifth of the blades touch others before, few after, and hardly any by more than 3 mm."""
     before, _ = leaf_pairs(row)
     assert len({blade for pair in before for blade in pair}) > 0.2 * len(of_class(row, OrganClass.LEAF))
     mesh = resolve_contacts(row, np.random.default_rng(0), between_plants=True).mesh

@@ -369,12 +369,12 @@ def test_resolving_contacts_changes_no_size(resolved: tuple[Sample, Sample]) -> 
 @pytest.mark.parametrize(
     ("kind", "parameter", "max_fraction", "shift_deg"),
     [
-        ("petiole", "inclination", 0.25, 1.5),
-        ("lamina", "inclination", 0.25, 1.5),
+        ("petiole", "inclination", 0.45, 1.5),
+        ("lamina", "inclination", 0.6, 1.5),
         ("side_shoot", "inclination", 0.25, 1.5),
-        ("shoot_petiole", "inclination", 0.25, 1.5),
-        ("shoot_lamina", "inclination", 0.25, 1.5),
-        ("node.leaf", "azimuth", 0.25, 3.0),
+        ("shoot_petiole", "inclination", 0.3, 1.5),
+        ("shoot_lamina", "inclination", 0.35, 1.5),
+        ("node.leaf", "azimuth", 0.45, 3.0),
         ("node.shoot", "azimuth", 0.25, 3.0),
         ("peduncle", "inclination", 0.3, 3.0),
         ("fruit", "inclination", 0.4, 5.0),
@@ -386,8 +386,9 @@ def test_resolving_contacts_changes_few_angles(
 ) -> None:
     """Only organs with contacts are rotated.
 
-    Measured: 12 % of leaves and shoots are rotated, 14 % of fruit stalks, 23 % of fruit; their means change
-    by .6, 1.6 and 2.9 degrees. Bounds are about twice that.
+    Measured: 29 % of petioles are rotated and 41 % of their blades, as leaves do not run through each other;
+    10 to 20 % of shoots and what they bear, 13 % of fruit stalks, 21 % of fruit. Means change by at most 0.8
+    degrees for leaves and shoots, 1.7 for fruit stalks, 2.7 for fruit. Bounds are 1.5 to 2 times that.
     """
     before, after = (sample.get(kind, parameter)[0] for sample in resolved)
     rotation = (after - before + np.pi) % (2.0 * np.pi) - np.pi

@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 from pepperscene.geometry.contacts.organs import LEAF
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
-_ALONG: Final = 9  # rows of vertices along a blade between base and tip, chosen: every 15 mm
+_ALONG: Final = 9  # rows of vertices along a blade between base and tip, chosen: every 14 mm
 _ACROSS: Final = 5  # vertices in a row, chosen
 _RINGS: Final = 7  # rings of a tube, chosen
 _AROUND: Final = 4  # vertices in a ring, chosen

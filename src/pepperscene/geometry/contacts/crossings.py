@@ -103,21 +103,28 @@ class CoarseTriangles:
         low, high = _boxes(points, corners)
         boxes = low - np.float32(CLEARANCE), high + np.float32(CLEARANCE)
         starts = self._faces.starts(organ)
-        box = tuple(side.T.astype(np.float32) for side in _bounds(boxes, starts))
-        # Of either organ the triangles near the box of the other.
+        # The triangles of the first organ near the box of the second, those of the second near the box around
+        # these, and of these the triangles near the box around those.
         pair, number = expand_counts(self._faces.count[organ[entry]])
         bounds = tuple(side[other].T.astype(np.float32) for side in (self._organs.low, self._organs.high))
         own, own_pair = _overlapping(boxes, starts[entry][pair] + number, bounds, pair)
-        near = np.flatnonzero(np.bincount(own_pair, minlength=len(entry)))
+        near, around = _bounds_by_pair(boxes, own, own_pair)
+        if not len(near):
+            return result
         distinct, place = np.unique(other[near], return_inverse=True)
         other_face, _ = self._faces.of(distinct)
         other_corners = self._corners[:, other_face]
         other_boxes = _boxes(self._points, other_corners)
-        position, number = expand_counts(self._faces.count[other[near]])
-        theirs = self._faces.starts(distinct)[place][position] + number
-        bounds = tuple(side[:, entry[near]] for side in box)
-        theirs, position = _overlapping(other_boxes, theirs, bounds, position)
-        their_pair = near[position]
+        pair, number = expand_counts(self._faces.count[other[near]])
+        theirs = self._faces.starts(distinct)[place][pair] + number
+        theirs, pair = _overlapping(other_boxes, theirs, around, pair)
+        left, around = _bounds_by_pair(other_boxes, theirs, pair)
+        their_pair = near[pair]
+        row_of_pair = np.full(len(entry), -1)
+        row_of_pair[near[left]] = np.arange(len(left))
+        kept = row_of_pair[own_pair] >= 0
+        own, row = _overlapping(boxes, own[kept], around, row_of_pair[own_pair[kept]])
+        own_pair = near[left][row]
         # Pairs of these.
         start, stop = (np.searchsorted(their_pair, own_pair, side) for side in ("left", "right"))
         total, done = np.cumsum(stop - start), 0
@@ -193,6 +200,16 @@ def _overlapping(
         kept &= boxes[1][axis].take(rows) >= others[0][axis].take(columns)
         rows, columns = rows[kept], columns[kept]
     return rows, columns
+
+
+def _bounds_by_pair(boxes: Boxes, rows: IndexArray, pair: IndexArray) -> tuple[IndexArray, Boxes]:
+    """The pairs that have rows of a table of boxes, and the boxes around all rows of each."""
+    first = np.flatnonzero(np.diff(pair, prepend=-1))
+    if not len(first):
+        return first, (np.empty((3, 0), dtype=np.float32), np.empty((3, 0), dtype=np.float32))
+    low = np.stack([np.minimum.reduceat(axis.take(rows), first) for axis in boxes[0]])
+    high = np.stack([np.maximum.reduceat(axis.take(rows), first) for axis in boxes[1]])
+    return pair[first], (low, high)
 
 
 def _overlapping_pairs(

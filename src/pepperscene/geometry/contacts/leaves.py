@@ -20,7 +20,7 @@ from pepperscene.geometry.mesh import FloatArray, IndexArray
 PASSES: Final = 16
 """Chosen: later passes free few leaves."""
 
-_POSES: Final = (4, 5, 6, 8, 12, 16, 24)  # chosen: poses tried in each pass, then as in the last
+_POSES: Final = (4, 4, 5, 6, 8, 10, 12, 16)  # chosen: poses tried in each pass, then as in the last
 _EXAMINED: Final = 3  # chosen: the best of these, examined with fruit, stems and the ground
 _PER_CROSSING: Final = 0.03  # cost of a pair of triangles that cross, chosen, beside 1 for the pair of organs
 _PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free poses the smallest is used
@@ -129,9 +129,9 @@ class LeafSolver:
             self._move(units[unit[place]], poses.angles[unit[place], pose[place]])
 
     def _select_units(self, number: int) -> list[MovableUnit]:
-        """The units to try: of every pair of one organ, in some passes of both."""
+        """The units to try: of every pair of one organ, in later passes of both."""
         one, two = self._pairs.T
-        if number % 4 == 3 or number >= _LARGE_UNITS:
+        if number >= _LARGE_UNITS:
             chosen = np.unique(self._pairs)
         else:
             # The organ that crosses more others moves, or the blade.
