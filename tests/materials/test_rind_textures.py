@@ -68,7 +68,9 @@ def test_a_place_on_the_body_is_near_that_on_a_mesh(body):
 
 def test_skin_is_wavy_by_20_to_50_micrometres_at_3_to_8_mm(textures, body):
     relief = textures.relief_mm
-    assert np.all((relief.std(axis=(1, 2)) > 0.02) & (relief.std(axis=(1, 2)) < 0.05))
+    # From troughs to crests, without the lowest and the highest twentieth.
+    low, high = np.percentile(relief, [5, 95], axis=(1, 2))
+    assert np.all((high - low > 0.02) & (high - low < 0.05))
     # A wave of height h and wavelength w has the root mean square slope 2 pi h / w.
     middle = slice(100, 156)
     down = np.gradient(relief, axis=1)[:, middle] * rt.SHAPE[0] / body.length_mm
@@ -77,8 +79,8 @@ def test_skin_is_wavy_by_20_to_50_micrometres_at_3_to_8_mm(textures, body):
     wavelength = 2 * np.pi * relief[:, middle].std() / np.array([down.std(), around.std()])
     # Along one line a wave in any direction is longer, by the square root of 3 on average.
     assert np.all((wavelength / np.sqrt(3) > 3.0) & (wavelength / np.sqrt(3) < 8.0))
-    # The gloss does not break up: its normals turn by some degrees.
-    assert 1 < np.degrees(np.arctan(np.hypot(down, around))).mean() < 6
+    # The gloss does not break up: its normals turn by a degree or two.
+    assert 0.5 < np.degrees(np.arctan(np.hypot(down, around))).mean() < 3
 
 
 def test_russet_is_around_the_calyx_and_the_scar_at_the_blossom_end(textures, body):

@@ -64,7 +64,7 @@ def leaf_textures(grid: BladeGrid, rng: np.random.Generator, count: int = TEXTUR
         )
 
     # In parallel; each texture has its own generator, so the order does not matter.
-    with ThreadPoolExecutor() as pool:
+    with ThreadPoolExecutor(2) as pool:
         textures = list(pool.map(draw, rng.spawn(count)))
     return LeafTextures(*(np.stack(maps) for maps in zip(*textures, strict=True)))
 

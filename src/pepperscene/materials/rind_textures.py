@@ -19,7 +19,9 @@ from pepperscene.spectra.spectrum import FloatArray
 FRUIT_TEXTURES: Final = 8  # chosen: as many as a frame shows fruit at close range
 GREEN_TEXTURES: Final = 6  # chosen: of a stem, a stalk or a calyx
 SHAPE: Final = (256, 256)
-"""Rows and columns: a texel of a fruit is 0.6 by 1 mm, of a stem 0.4 by 0.1 mm."""
+"""Rows and columns of a fruit's textures: a texel is 0.6 by 1 mm."""
+GREEN_SHAPE: Final = (256, 128)
+"""Of those of stems, stalks and calyces: a texel of a stem is 0.4 by 0.2 mm."""
 
 # Skin of fruit; all chosen from photographs of sweet peppers at close range.
 PATCHES: Final = 0.045  # standard deviation of ripeness in patches that turn earlier than others
@@ -27,8 +29,8 @@ SPECKLE: Final = 0.012  # and in fine speckle
 PATCH_MM: Final = (25.0, 50.0)  # shortest and longest wavelength of the patches
 SPECKLE_MM: Final = (3.0, 6.0)
 WAVINESS_MM: Final = 0.012
-"""Standard deviation of the height of a fruit's skin at the wavelengths `WAVE_MM`: chosen, a third of the 20 to
-50 micrometres between crests and troughs that make the edges of highlights uneven by a degree or two."""
+"""Standard deviation of the height of a fruit's skin at the wavelengths `WAVE_MM`: chosen, a third of the 20
+to 50 micrometres between crests and troughs that make the edges of highlights uneven by a degree or two."""
 WAVE_MM: Final = (3.0, 8.0)
 BODY_EXPONENT: Final = 2.6
 """Of the superellipse that stands for a fruit's profile: chosen, between a round and a blocky one."""
@@ -230,7 +232,7 @@ def green_textures(
     texture, girth = TEXTURES.get(form, STEM_TEXTURE), size_mm[0]
 
     def noise(around_mm: float, along_mm: float) -> FloatArray:
-        fields = [noise_mm(rng, SHAPE, size_mm, (around_mm, along_mm)) for _ in range(GREEN_TEXTURES)]
+        fields = [noise_mm(rng, GREEN_SHAPE, size_mm, (around_mm, along_mm)) for _ in range(GREEN_TEXTURES)]
         return uncorrelated(np.stack(fields))
 
     # Streaks are narrow around (u) and long (v); ribs run along the whole organ.
@@ -245,11 +247,14 @@ def green_textures(
         pattern, relief_mm = pattern - texture.fissures * fissure, relief_mm - texture.fissure_mm * fissure
     if form == "calyx":
         pattern = pattern - _dry_rim(noise)
-    return pattern, relief_mm
+    # On a small organ two sums of few streaks and spots would be alike by chance.
+    level, spread = pattern.mean(axis=(1, 2), keepdims=True), pattern.std(axis=(1, 2), keepdims=True)
+    return level + spread * uncorrelated(pattern), relief_mm
 
 
 def _dry_rim(noise: Callable[[float, float], FloatArray]) -> FloatArray:
-    """Decrease of a calyx' state in dry spots along its rim, in addition to the mesh's browned rim."""
-    v = (np.arange(SHAPE[0]) + 0.5) / SHAPE[0]
+    """Decrease of a calyx' state in dry spots along its rim, about the mean that the mesh gives the rim."""
+    v = (np.arange(GREEN_SHAPE[0]) + 0.5) / GREEN_SHAPE[0]
     near = np.exp(-(((v - CALYX_RIM_V) / 0.05) ** 2))[None, :, None]
-    return 0.2 * near * np.clip(noise(1.2, 2.0), 0.0, 2.0)
+    spots = np.clip(noise(1.2, 2.0), 0.0, 2.0)
+    return 0.2 * near * (spots - spots.mean())
