@@ -188,7 +188,8 @@ def test_twine_is_tied_to_the_wire(plant, mesh, internode_points, tied, height):
     straight = last[:2] + fraction[:, None] * (knot[:2] - last[:2])
     assert np.linalg.norm(free[:, :2] - straight, axis=1).max() < 1.5 * TWINE.diameter_m
     # Lower down it is the twine of a plant without a wire.
-    low, loose = last[2] - 0.3, twine_vertices(tied)
+    faces = tied.faces[tied.face_instance == len(tied.instances) - 1]
+    low, loose = last[2] - 0.3, np.concatenate([twine_vertices(tied), tied.vertices[faces].mean(axis=1)])
     gaps = cKDTree(loose[loose[:, 2] < low]).query(twine[twine[:, 2] < low - 0.1])[0]
     assert gaps.max() < 0.01
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.camera import Camera
+from pepperscene.camera import Camera, pedestal
 from pepperscene.dataset import FrameRenderer, Recipe, load_recipe
 from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
@@ -129,7 +129,9 @@ def resize_camera(camera: Camera, size: Sequence[int] | None) -> Camera:
         reduction=None,
     )
     lens = dataclasses.replace(camera.lens, transmittance=camera.lens.transmittance / max(1.0, scale**2))
-    return dataclasses.replace(camera, sensor=sensor, lens=lens)
+    # The noise of unlit pixels changes with the gain; what is added to it must not.
+    developing = dataclasses.replace(camera.developing, pedestal=pedestal(camera))
+    return dataclasses.replace(camera, sensor=sensor, lens=lens, developing=developing)
 
 
 @dataclass(frozen=True, eq=False)

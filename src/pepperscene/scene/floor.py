@@ -11,7 +11,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from scipy.special import expn
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh
@@ -51,6 +50,8 @@ def transmitted_daylight(leaf_area_index: float, sun_elevation_rad: float) -> tu
         leaf_area_index: one-sided leaf area over floor area; 0 lets all light pass.
         sun_elevation_rad: above the horizon.
     """
+    from scipy.special import expn
+
     root = np.sqrt(1.0 - _leaf_scattering())
     optical_depth = 0.5 * root * leaf_area_index
     skylight = 2.0 * expn(3, optical_depth)
