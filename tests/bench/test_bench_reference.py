@@ -32,7 +32,9 @@ def test_codes_equal_the_developed_picture_before_rounding(camera):
     codes = develop_codes(image, camera)
     assert np.abs(codes - develop(image, exact)).max() <= 0.5 + 1e-3
     assert 50.0 < codes.mean() < 250.0
-    linear = dataclasses.replace(camera, developing=dataclasses.replace(camera.developing, tone="linear", pedestal=0.0))
+    linear = dataclasses.replace(
+        camera, developing=dataclasses.replace(camera.developing, tone="linear", pedestal=0.0)
+    )
     dark = random_picture(camera, 500.0)
     np.testing.assert_allclose(develop_codes(2 * dark, linear), 2 * develop_codes(dark, linear), atol=1e-3)
     assert np.abs(develop_codes(random_picture(camera, 1e9), camera) - 255.0).max() < 30.0

@@ -19,7 +19,8 @@ from pepperscene.geometry import (
 )
 from pepperscene.geometry.contacts.detect import ContactDetector, current_counts
 from pepperscene.geometry.contacts.joints import units_of
-from pepperscene.geometry.contacts.organs import Organs
+from pepperscene.geometry.contacts.leaves import _shared_organs
+from pepperscene.geometry.contacts.organs import LEAF, Organs
 from pepperscene.geometry.contacts.resolve import ContactSolver, _Round
 
 
@@ -273,3 +274,18 @@ def test_units_near_a_moved_one_wait() -> None:
     moved = {motion.instance for motion in solver.motions}
     assert (solver.detector.depths(*contacts.T) < 0.0).sum() > 0.5 * len(moved)
     assert current_counts(solver.detector).fruit_touching < before.fruit_touching
+
+
+def test_units_that_share_organs_clash_wherever_they_move() -> None:
+    """A shoot and a leaf on it must not move in the same pass: each is tried with the other at rest."""
+    organs = Organs(grown()[1])
+    nested = next(
+        units for units in (units_of(organs, index) for index in organs.of_class(LEAF)) if len(units) > 2
+    )
+    others = units_of(organs, nested[-1].members[0] - 1)
+    shared = _shared_organs(
+        [*nested, *(unit for unit in others if not set(unit.members) & set(nested[-1].members))]
+    )
+    count = len(nested)
+    assert shared[:count, :count].all()
+    assert not shared[:count, count:].any()

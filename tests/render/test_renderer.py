@@ -235,7 +235,14 @@ def test_electrons_are_not_developed_and_the_reference_is_not_denoised(scene, ca
 def test_path_integrator_renders_with_the_path_tracer(scene):
     # Its scene is reused along a path, and rebuilt for a camera without flash.
     quality = replace(
-        QUALITIES["reference"], samples=2, soft=2, most=2, bounces=1, most_bounces=0, integrator="path", sampler="stratified"
+        QUALITIES["reference"],
+        samples=2,
+        soft=2,
+        most=2,
+        bounces=1,
+        most_bounces=0,
+        integrator="path",
+        sampler="stratified",
     )
     path_renderer, seed = Renderer(scene), 9
     path_seed = int(np.random.SeedSequence(seed).spawn(2)[1].generate_state(1)[0])

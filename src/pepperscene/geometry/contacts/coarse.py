@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 from pepperscene.geometry.contacts.organs import LEAF
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
@@ -24,6 +23,8 @@ def coarse_faces(uv: SingleArray, organ_class: int) -> IndexArray:
 
 def _sheet_faces(uv: FloatArray) -> IndexArray:
     """Triangles of a blade: rows of vertices from margin to margin, without triangles between its lobes."""
+    from scipy.spatial import Delaunay
+
     place = np.stack([2.0 * uv[:, 0] - 1.0, 2.0 * uv[:, 1]], axis=1)
     targets = [place[place[:, 1].argmin()], place[place[:, 1].argmax()]]
     for along in 2.0 * np.arange(1, _ALONG + 1) / (_ALONG + 1):

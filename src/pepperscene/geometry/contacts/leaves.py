@@ -218,7 +218,6 @@ class LeafSolver:
         i, j = _overlapping_boxes(low, high, low, high)
         different = number[i] < number[j]
         i, j = i[different], j[different]
-        shared = organ[i] == organ[j]
         kept = _must_not_cross(self._organs, organ[i], organ[j])
         k, m = i[kept], j[kept]
         # Instead of moving both, move the first relative to the second.
@@ -226,15 +225,27 @@ class LeafSolver:
         rotation = np.matmul(back, poses.rotation[entry[k]])
         shift = np.matmul(back, (poses.shift[entry[k]] - poses.shift[entry[m]])[:, :, None])[:, :, 0]
         crosses = self._triangles.count(organ[k], rotation, shift, np.arange(len(k)), organ[m]) > 0
+        # Units of the same organs clash wherever they are: each was tried with the other at its old pose.
+        same, also = np.nonzero(np.triu(_shared_organs([poses.units[row] for row in unit.tolist()]), 1))
         clashes: dict[int, list[int]] = {}
         for first, second in zip(
-            np.concatenate([number[i[shared]], number[k[crosses]]]).tolist(),
-            np.concatenate([number[j[shared]], number[m[crosses]]]).tolist(),
+            np.concatenate([same, number[k[crosses]]]).tolist(),
+            np.concatenate([also, number[m[crosses]]]).tolist(),
             strict=True,
         ):
             clashes.setdefault(first, []).append(second)
             clashes.setdefault(second, []).append(first)
         return clashes
+
+
+def _shared_organs(units: Sequence[MovableUnit]) -> NDArray[np.bool_]:
+    """`(u, u)` whether two units have an organ in common."""
+    members = np.concatenate([np.array(unit.members) for unit in units])
+    owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
+    distinct, column = np.unique(members, return_inverse=True)
+    inside = np.zeros((len(units), len(distinct)), dtype=np.float32)
+    inside[owner, column] = 1.0
+    return np.asarray(inside @ inside.T > 0.0)
 
 
 def _overlapping_boxes(
