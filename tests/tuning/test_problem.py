@@ -32,8 +32,8 @@ TOLERANCE = 0.01
 """Relative, of a column: differences in single precision, and pixels that become clipped within a step."""
 STEPS = (0.004, 0.1, 0.4)
 """In prior sd. Rounding requires a large step and clipping a small one, so the best one counts. The largest
-is for the ends of the flash's spectrum. The image is linear in them, and they give so little of it that no step
-clips a pixel, but that rounding is more than a hundredth of their slopes with a smaller step."""
+is for the ends of the flash's spectrum. The image is linear in them, and they give so little of it that no
+step clips a pixel, but that rounding is more than a hundredth of their slopes with a smaller step."""
 
 NEIGHBOURS = {"leaf": NeighbourEffect(np.array([0.9, 0.8, 0.7]), np.zeros(OBSERVABLE_COUNT))}
 """Leaves are in green shade, which the derivatives have to include."""

@@ -198,8 +198,8 @@ def test_derivatives_match_finite_differences(kind):
             assert np.abs(jacobian).max() <= 1e-8
             continue
         # The albedo of a rough gloss is a quadrature with finite resolution. The smoother, the less of the
-        # lobe is lost at the horizon, and the fewer nodes resolve that edge, as wide as the roughness: relative
-        # to the slope, the error is inversely proportional to the square of the roughness.
+        # lobe is lost at the horizon, and the fewer nodes resolve that edge, as wide as the roughness:
+        # relative to the slope, the error is inversely proportional to the square of the roughness.
         tolerance = 1e-6
         if name.endswith("roughness"):
             tolerance = 5e-3 * max(1.0, (0.2 / float(values[name][0])) ** 2)
