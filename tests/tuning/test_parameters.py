@@ -82,7 +82,7 @@ def test_surfaces_may_have_other_names(tmp_path):
 
 def test_defaults_are_the_values_of_the_recipe():
     contents = select(["leaf.chlorophyll", "fruit.unripe.brown", "fruit.ripe.brown"])
-    assert [float(one.default[0]) for one in contents] == [56.0, 0.36, 0.02]
+    assert [float(one.default[0]) for one in contents] == [56.0, 0.05, 0.02]
     (structure, colour, matrix) = select(["stem.structure", "flash.colour", "colour_matrix"])
     assert structure.default == 2.5
     assert colour.labels == ("warmth", "green")

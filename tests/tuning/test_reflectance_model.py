@@ -22,6 +22,7 @@ from pepperscene.tuning.model.reflectance import (
 )
 from pepperscene.tuning.model.view_model import Entry, entries_of
 from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
+from pepperscene.tuning.parameters.surface import state_distribution
 from pepperscene.tuning.parameters.tuned import tuned_parts
 
 FRUITS, LEAVES = "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance"
@@ -166,6 +167,20 @@ def interior_point(name: str) -> tuple[tuple[Entry, ...], dict]:
     return (entry,), {name: np.array([default + (bound - default) / 3.0])}
 
 
+def mean_is_a_knot(of: DirectModel) -> bool:
+    """Whether the mean of a surface's states is a knot of its path, which a spread does not move.
+
+    Else the mean organ is between knots that move: where the path bends between them or within the smoothing
+    radius (stems), and where a stage differs from the mean (fruit), its contents depend on the spread.
+    """
+    (surface,) = {one.surface for one in of.surfaces}
+    states = state_distribution(of.cultivar, surface)
+    knots = [state for state, _ in of.cultivar.pigments[surface].knots]
+    return all(one.state == pytest.approx(states.mean) for one in of.surfaces) and any(
+        knot == pytest.approx(states.mean) for knot in knots
+    )
+
+
 @pytest.mark.parametrize("kind", ["leaf", "stem", "pepper"])
 def test_derivatives_match_finite_differences(kind):
     kinds = ("pepper.unripe", "pepper.ripe") if kind == "pepper" else (kind,)
@@ -177,16 +192,21 @@ def test_derivatives_match_finite_differences(kind):
     for name in parameters:
         column, values = interior_point(name)
         jacobian = of.jacobian(values, column)
-        if name.endswith("spread") and kind != "pepper":
+        if name.endswith("spread") and mean_is_a_knot(of):
             # The spectrum of the mean organ does not depend on the spread.
+            assert kind == "leaf"
             assert np.abs(jacobian).max() <= 1e-8
             continue
-        # The albedo of a rough gloss is a quadrature with finite resolution.
-        tolerance = 5e-3 if name.endswith("roughness") else 1e-6
+        # The albedo of a rough gloss is a quadrature with finite resolution. The smoother, the less of the
+        # lobe is lost at the horizon, and the fewer nodes resolve that edge, as wide as the roughness:
+        # relative to the slope, the error is inversely proportional to the square of the roughness.
+        tolerance = 1e-6
+        if name.endswith("roughness"):
+            tolerance = 5e-3 * max(1.0, (0.2 / float(values[name][0])) ** 2)
         assert disagreement(jacobian, of, values, column) <= tolerance, name
         # The same check detects a wrong sign and a wrong scale.
         assert disagreement(-jacobian, of, values, column) >= 1.9, name
-        assert disagreement(1.1 * jacobian, of, values, column) >= 0.09, name
+        assert disagreement(1.1 * jacobian, of, values, column) >= min(0.09, 0.1 - 1.1 * tolerance), name
 
 
 def test_derivatives_at_bounds_use_values_within_bounds():

@@ -149,7 +149,7 @@ def test_value_is_applied_and_nothing_else_changes(name):
 
 
 def test_all_knots_scale_with_the_maximum():
-    path = path_at("fruit.chlorophyll", 2 * 15.7)
+    path = path_at("fruit.chlorophyll", 2 * PARAMETERS["fruit.chlorophyll"].default[0])
     np.testing.assert_allclose(
         path.at(STATES)["chlorophyll_ug_cm2"],
         2 * DENSE["fruit"].at(STATES)["chlorophyll_ug_cm2"],

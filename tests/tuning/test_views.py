@@ -157,7 +157,8 @@ def test_electrons_are_those_of_the_recipes_lens(target, kind):
     """A longer lens of the same f-number: pixels see less each, and are as bright.
 
     The recipe's lens is at the same position, without distortion, so that pixels can be matched; the part of
-    its image around the organ is enough.
+    its image around the organ is enough. Neither has stray light, which spreads light from a narrow stem over
+    its surroundings and is none of a view's.
     """
     (view,) = views_of(target, [kind], pixels=48)
     quality = Quality(36, 36, 36, 1, target=None, denoise=False)
@@ -171,6 +172,7 @@ def test_electrons_are_those_of_the_recipes_lens(target, kind):
         sensor=replace(target.camera.sensor, columns=100, rows=100),
         pose=view.camera.pose,
         focus_m=None,
+        developing=view.camera.developing,
     )
     small = Renderer(view.scene).render(camera, ["electrons"], quality, 2)["electrons"]
 

@@ -244,7 +244,7 @@ def test_every_file_states_its_provenance(demo, fit, tmp_path):
             assert record["patches"]["sha256"] in text
     leaf = tomllib.loads(files[1].read_text())["pigments"]["leaf"]["source"]
     assert "leaf.chlorophyll 48.12 ± 0.96" in leaf
-    assert "(was 62.00)" in leaf
+    assert "(was 56.00)" in leaf
     assert "LOPEX" in leaf
     assert "fruit.ripeness" not in leaf
 
