@@ -160,7 +160,10 @@ def _ghosts(plane: Array, camera: Camera) -> Array:
         disc = _disc(ghost.radius_m / (camera.sensor.pixel_pitch_m * cell))
         # Small matrices: with BLAS, starting its threads would take most of the time.
         scaled = np.einsum("ij,jk->ik", np.einsum("ij,jk->ik", down, coarse), right.T)
-        total += ghost.fraction * convolve(scaled, disc, mode="reflect")
+        # SciPy's own reflection reads beyond the image where the disc is larger than it.
+        reach = len(disc) // 2
+        blurred = convolve(np.pad(scaled, reach, mode="symmetric"), disc, mode="constant")
+        total += ghost.fraction * blurred[reach : len(scaled) + reach, reach : scaled.shape[1] + reach]
     density = total / (np.diff(rows)[:, None] * np.diff(columns))
     fine = _interpolate(_interpolate(density, rows, 0), columns, 1)
     # Interpolation keeps the sum only approximately.
