@@ -149,7 +149,7 @@ class Cases:
             surface = self.surfaces[number]
             rows = surface.reflectance[:, side] + surface.transmittance
             at_nm = np.stack([np.interp(TEST_NM, surface.wavelength_nm, row) for row in rows])
-            states = np.linspace(0.0, 1.0, len(rows))
+            states = np.linspace(surface.first_state, 1.0, len(rows))
             body = np.array([np.interp(state, states, column) for column in at_nm.T])
             gloss = self.gloss(case)
             albedo[case] = gloss + (1.0 - gloss) * body

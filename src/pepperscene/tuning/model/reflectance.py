@@ -9,6 +9,10 @@ The instrument is an integrating sphere with a gloss trap (8/d): light comes in 
 body reflects is gathered from all directions. A(o) / a has the cosine-weighted mean 1, so the reading is
 A(8) R = (1 - g) R, with g the gloss at nearly normal incidence. This is what a reflectance that includes the
 interface becomes when the gloss is subtracted. By reciprocity a d/8 instrument reads the same.
+
+The trap is modelled as taking the whole narrow lobe, but nothing of a second, wide one: that lobe scatters
+into all directions (of roughness .8, less than 1 % of it is within 8 degrees of the mirror's direction) and
+counts in the reading.
 """
 
 from __future__ import annotations
@@ -42,7 +46,7 @@ RANGE_NM: Final = (400.0, 730.0)
 shipped measurements of fruit end too, only water and dry matter absorb, which are not fitted."""
 MODEL_ERROR: Final = 0.01
 """Standard deviation of the model's own error at one wavelength, in reflectance: 0.010 is the RMSE of a layer
-on flesh that was fitted to the measured green pepper, 0.011 the median of PROSPECT's fits to twelve shipped
+on flesh that was fitted to the measured green pepper, 0.014 the median of PROSPECT's fits to twelve shipped
 leaves (Vrhel et al. 1994). The noise of an instrument is small compared with it."""
 CORRELATION_NM: Final = 30.0
 """Distance at which the model's errors are independent: the integral of the autocorrelation of the residuals
@@ -81,8 +85,10 @@ def instrument_reflectance(path: PigmentPath, wavelength_nm: ArrayLike, state: f
         body = reflected + transmitted * (1.0 - min(mean_open) / mean_open[0])
     else:
         body = rind_reflectance(path, nm, states)
-    entering = sum(share * _sphere_transmittance(path.ior, alpha) for share, alpha in gloss_lobes(path, 0))
-    return np.asarray(entering * body[0])
+    lobes = [(share, _sphere_transmittance(path.ior, alpha)) for share, alpha in gloss_lobes(path, 0)]
+    entering = sum(share * entered for share, entered in lobes)
+    not_trapped = sum(share * (1.0 - entered) for share, entered in lobes[1:])
+    return np.asarray(entering * body[0] + not_trapped)
 
 
 @functools.lru_cache(maxsize=256)
