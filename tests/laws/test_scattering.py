@@ -91,7 +91,7 @@ def test_packed_spectra_equal_the_surfaces():
 
 
 def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
-    # Taking the nearest 1 nm entry changes no channel of any surface by more than 2e-4.
+    # Taking the nearest 1 nm entry changes no channel of any surface by more than 3e-4.
     camera = axis_camera()
     fine = np.arange(380.0, 690.0, 0.02)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)
@@ -101,7 +101,7 @@ def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
         for row in rows[rows.any(axis=1)]:
             exact = weight @ np.interp(fine, nm, row)
             nearest = weight @ np.interp(np.floor(fine + 0.5), nm, row)
-            assert nearest == pytest.approx(exact, rel=2e-4)
+            assert nearest == pytest.approx(exact, rel=3e-4)
 
 
 def test_patterns_are_periodic_around_a_tube():

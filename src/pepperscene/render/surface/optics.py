@@ -37,7 +37,7 @@ from pepperscene.render.variant import mitsuba_modules
 
 STEP_NM: Final = 1.0
 """Spacing of all wavelength grids, chosen. The kernel takes a surface's nearest entry: with wavelengths
-spread over a pixel's samples that is the midpoint rule; its error is below 2e-4 for all shipped surfaces."""
+spread over a pixel's samples that is the midpoint rule; its error is below 3e-4 for all shipped surfaces."""
 
 MIN_ALPHA: Final = 1e-3
 """Chosen: smoother cuticles are packed with this roughness, a mirror for every lens and safe in single
