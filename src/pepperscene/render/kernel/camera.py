@@ -211,8 +211,8 @@ def label_rays(rays: CameraRays, camera: Camera) -> CameraRays:
 _NEGLIGIBLE_RESPONSE: Final = 1e-5
 """Chosen: a response below this fraction of its peak is left out; the error is below 1e-5."""
 _STRONGEST_LIGHT: Final = 1e27
-"""Electrons s-1 m-2 (sr-1): chosen, ten million times a flash of 200 klx at 50 cm, and above the infrared of a
-sun on the horizon. Single precision ends at 3e38; next to a flash light is 1e8 times stronger, and mirrors
+"""Electrons s-1 m-2 (sr-1): chosen, ten million times a flash of 200 klx at 50 cm, and above the infrared of
+a sun on the horizon. Single precision ends at 3e38; next to a flash light is 1e8 times stronger, and mirrors
 concentrate that another 1e3 times."""
 _FAINTEST_FLASH: Final = 1e-10
 """Chosen: a flash below this fraction of the daylight is ignored. It adds 1e-6 at a centimetre."""
