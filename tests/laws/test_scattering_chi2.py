@@ -133,7 +133,7 @@ def chi_squared(cases: Cases, optics, frames: np.ndarray, case: int):
         return points(dr.width(wo)).eval_pdf(wo)[1] * domain.solid_angle(wo)
 
     return ChiSquareTest(
-        domain, sample, density, sample_dim=3, sample_count=1 << 19, res=RINGS, ires=24, seed=case
+        domain, sample, density, sample_dim=3, sample_count=1 << 19, res=RINGS, ires=48, seed=case
     )
 
 
