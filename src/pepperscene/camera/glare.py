@@ -146,7 +146,7 @@ def _ghosts(plane: Array, camera: Camera) -> Array:
 
     Light outside the image is lost. Ghosts are computed on a coarse grid, because they have no details.
     """
-    from scipy.ndimage import convolve
+    from scipy.signal import fftconvolve
 
     cell = max(-(-plane.shape[1] // _GHOST_COLUMNS), 1)
     # The last cells can be smaller.
@@ -157,13 +157,14 @@ def _ghosts(plane: Array, camera: Camera) -> Array:
     for ghost in camera.lens.stray_light.ghosts:
         down = _scaled_cells(rows, centre_row, ghost.magnification)
         right = _scaled_cells(columns, centre_column, ghost.magnification)
-        disc = _disc(ghost.radius_m / (camera.sensor.pixel_pitch_m * cell))
+        # A blur of twice the image's size is even already.
+        radius = ghost.radius_m / (camera.sensor.pixel_pitch_m * cell)
+        disc = _disc(min(radius, 2.0 * max(coarse.shape)))
         # Small matrices: with BLAS, starting its threads would take most of the time.
         scaled = np.einsum("ij,jk->ik", np.einsum("ij,jk->ik", down, coarse), right.T)
-        # SciPy's own reflection reads beyond the image where the disc is larger than it.
-        reach = len(disc) // 2
-        blurred = convolve(np.pad(scaled, reach, mode="symmetric"), disc, mode="constant")
-        total += ghost.fraction * blurred[reach : len(scaled) + reach, reach : scaled.shape[1] + reach]
+        # `scipy.ndimage.convolve` reads beyond an image that is smaller than the disc.
+        reflected = np.pad(scaled, len(disc) // 2, mode="symmetric")
+        total += ghost.fraction * np.maximum(fftconvolve(reflected, disc, mode="valid"), 0.0)
     density = total / (np.diff(rows)[:, None] * np.diff(columns))
     fine = _interpolate(_interpolate(density, rows, 0), columns, 1)
     # Interpolation keeps the sum only approximately.
