@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera, Motion
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, camera_rays, moving_rays, spectral_response
-from pepperscene.render.kernel.scene import LightScene, light_scene, sky_tables, truth_scene
+from pepperscene.render.kernel.scene import LightScene, check_surfaces, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality
 from pepperscene.render.reference.exposure import exposed_paths
 from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
@@ -44,7 +44,12 @@ class KernelScene:
     def trace(
         self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence, scene: Scene
     ) -> TracedSignal:
-        """Trace light with the integrator of the quality; `scene` is this one, under any sky."""
+        """Trace light with the integrator of the quality; `scene` is this one, under any sky.
+
+        Raises:
+            ValueError: the scene has no surfaces.
+        """
+        check_surfaces(scene)
         if not needs_long_paths(scene, spectral_response(camera, scene)):
             quality = dataclasses.replace(quality, most_bounces=0)
         if parts := exposure_parts(camera, has_daylight=scene.sky is not None):

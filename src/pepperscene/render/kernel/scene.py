@@ -64,6 +64,16 @@ def mitsuba_mesh(
     return shape
 
 
+def check_surfaces(scene: Scene) -> None:
+    """Check that a scene has surfaces.
+
+    Raises:
+        ValueError: it has none.
+    """
+    if not scene.surfaces:
+        raise ValueError("the scene has no surfaces: assemble it with them to render colour")
+
+
 def organ_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Organs as `Optics` packs them, `(o, 4)`, and `(f,)` the number of each triangle's organ.
 
@@ -72,8 +82,7 @@ def organ_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     Raises:
         ValueError: there are no surfaces.
     """
-    if not scene.surfaces:
-        raise ValueError("the scene has no surfaces: assemble it with them to render colour")
+    check_surfaces(scene)
     mesh, count = scene.mesh, len(scene.surfaces)
     pair = mesh.face_instance.astype(np.int64) * count + mesh.face_surface
     is_used = np.zeros(len(mesh.instances) * count, dtype=bool)

@@ -53,7 +53,7 @@ def mean_albedo(scene: Scene, grid_nm: NDArray[np.float64]) -> NDArray[np.float6
     """
     counts = np.bincount(scene.mesh.face_surface, minlength=len(scene.surfaces))
     total = np.zeros(grid_nm.size)
-    for surface, count in zip(scene.surfaces, counts, strict=False):
+    for surface, count in zip(scene.surfaces, counts, strict=True):
         albedo = surface.reflectance.mean(axis=(0, 1)) + surface.transmittance.mean(axis=0)
         total += count * np.interp(grid_nm, surface.wavelength_nm, albedo)
     return total / max(counts.sum(), 1)
