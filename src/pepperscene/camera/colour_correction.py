@@ -21,7 +21,7 @@ from pepperscene.camera.colorimetry import (
 )
 from pepperscene.camera.sensor import Sensor
 from pepperscene.errors import InputError
-from pepperscene.spectra import Spectrum, colour_science, leaf_spectra, sky_spectrum
+from pepperscene.spectra import MEAN_LEAF, Spectrum, colour_science, leaf_spectra, sky_spectrum
 from pepperscene.spectra.lights import SkyKind
 
 Array = NDArray[np.float64]
@@ -39,12 +39,10 @@ _DAYLIGHT_WEIGHT: Final = 0.25
 rises from 1.7 to 2.1, and with 1 to 3.6: no matrix shows both, as its responses are far from combinations of
 the observer's functions. For the other shipped sensors the weight hardly matters."""
 
-# Training leaves: all combinations. Chosen: from young or yellowing to dark leaves, around the inversion of
-# LOPEX tomato leaves (N 1.58, chlorophyll 43, carotenoids 10.5 ug/cm2).
+# Training leaves: all combinations. Chosen: from young or yellowing to dark leaves, around `MEAN_LEAF`.
 _STRUCTURE: Final = (1.3, 1.6, 2.0)
 _CHLOROPHYLL_UG_CM2: Final = (10.0, 25.0, 40.0, 60.0)
-_CAROTENOID_RATIO: Final = 10.5 / 43.0  # of that inversion
-_WATER_CM, _DRY_MATTER_G_CM2 = 0.016, 0.0035  # as the leaves of the shipped cultivars
+_CAROTENOID_RATIO: Final = MEAN_LEAF["carotenoid_ug_cm2"] / MEAN_LEAF["chlorophyll_ug_cm2"]
 _BROWN: Final = (0.0, 0.3)
 _SURFACE_REFLECTANCE: Final = (0.0, 0.04)
 """Specular part of the reflectance that is missing: none, and all of a surface of index 1.5 (Fresnel). A
@@ -159,8 +157,8 @@ def _leaves() -> Array:
         chlorophyll_ug_cm2=chlorophyll,
         carotenoid_ug_cm2=_CAROTENOID_RATIO * chlorophyll,
         brown=brown,
-        water_cm=_WATER_CM,
-        dry_matter_g_cm2=_DRY_MATTER_G_CM2,
+        water_cm=MEAN_LEAF["water_cm"],
+        dry_matter_g_cm2=MEAN_LEAF["dry_matter_g_cm2"],
     )
     return np.asarray(np.maximum(leaves.reflectance - missing[:, None], 0.0))
 

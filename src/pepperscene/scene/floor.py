@@ -17,22 +17,13 @@ from pepperscene.geometry import Mesh
 from pepperscene.materials import greenhouse_surfaces
 from pepperscene.scene.greenhouse import Greenhouse
 from pepperscene.scene.row import DoubleRow
-from pepperscene.spectra import leaf_spectra
+from pepperscene.spectra import MEAN_LEAF, leaf_spectra
 from pepperscene.spectra.spectrum import FloatArray, Spectrum
 
 MAX_LEAF_AREA_INDEX: Final = 20.0
 """Chosen: three times that of the densest crops."""
 
 _NM: Final = np.arange(300.0, 1101.0, 5.0)
-_LEAF: Final = {
-    "structure_n": 1.58,
-    "chlorophyll_ug_cm2": 43.0,
-    "carotenoid_ug_cm2": 10.5,
-    "anthocyanin_ug_cm2": 1.3,
-    "water_cm": 0.016,
-    "dry_matter_g_cm2": 0.0035,
-}
-"""Tomato leaves of LOPEX, inverted; water and dry matter chosen as typical of thin leaves."""
 
 
 def transmitted_daylight(leaf_area_index: float, sun_elevation_rad: float) -> tuple[Spectrum, Spectrum]:
@@ -116,5 +107,5 @@ def film_reflectance() -> Spectrum:
 
 @lru_cache(maxsize=1)
 def _leaf_scattering() -> FloatArray:
-    leaf = leaf_spectra(_NM, **_LEAF)
+    leaf = leaf_spectra(_NM, **MEAN_LEAF)
     return np.asarray(leaf.reflectance + leaf.transmittance)

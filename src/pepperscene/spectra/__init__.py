@@ -17,11 +17,12 @@ from pepperscene.spectra.lights import (
     sky_spectrum,
     sun_spectrum,
 )
-from pepperscene.spectra.prospect import absorption_coefficients, layer_over_body, leaf_spectra
+from pepperscene.spectra.prospect import MEAN_LEAF, absorption_coefficients, layer_over_body, leaf_spectra
 from pepperscene.spectra.spectrum import Spectrum
 
 __all__ = [
     "D65_K",
+    "MEAN_LEAF",
     "Provenance",
     "Spectrum",
     "absorption_coefficients",

@@ -35,6 +35,17 @@ _COLUMNS: Final = {
 INCIDENCE_CONE_RAD: Final = np.radians(40.0)
 """Half-angle of the cone in which light meets the rough leaf surface (Jacquemoud & Baret 1990)."""
 
+MEAN_LEAF: Final[Mapping[str, float]] = {
+    "structure_n": 1.58,
+    "chlorophyll_ug_cm2": 43.0,
+    "carotenoid_ug_cm2": 10.5,
+    "anthocyanin_ug_cm2": 1.3,
+    "water_cm": 0.016,
+    "dry_matter_g_cm2": 0.0035,
+}
+"""Arguments of `leaf_spectra` for an average leaf: the model inverted on the tomato leaves of LOPEX (Hosgood et al.
+1995); water and dry matter chosen as typical of thin leaves."""
+
 OPAQUE: Final = 1000.0  # absorbance of an opaque plate: exp(-1000) is zero in double precision
 FAINTEST: Final = 1e-120  # least transmittance: chosen, so that its inverse square is finite
 
