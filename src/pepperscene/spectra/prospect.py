@@ -43,8 +43,8 @@ MEAN_LEAF: Final[Mapping[str, float]] = {
     "water_cm": 0.016,
     "dry_matter_g_cm2": 0.0035,
 }
-"""Arguments of `leaf_spectra` for an average leaf: the model inverted on the tomato leaves of LOPEX (Hosgood et
-al. 1995); water and dry matter chosen as typical of thin leaves."""
+"""Arguments of `leaf_spectra` for an average leaf: the model inverted on the tomato leaves of LOPEX (Hosgood
+et al. 1995); water and dry matter chosen as typical of thin leaves."""
 
 OPAQUE: Final = 1000.0  # absorbance of an opaque plate: exp(-1000) is zero in double precision
 FAINTEST: Final = 1e-120  # least transmittance: chosen, so that its inverse square is finite
