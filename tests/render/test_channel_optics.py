@@ -58,8 +58,8 @@ def test_colours_are_integrals_over_wavelength(shipped, weights, channels):
     for k, surface in enumerate(shipped):
         rows = len(surface.reflectance)
         for j, state in enumerate(STATES):
-            # Spectra are at linspace(0, 1, rows) of the state, linear in between.
-            position = state * (rows - 1)
+            # Spectra are at linspace(first_state, 1, rows) of the state, linear in between.
+            position = (state - surface.first_state) / (1.0 - surface.first_state) * (rows - 1)
             low = min(int(position), rows - 1)
             high, fraction = min(low + 1, rows - 1), position - low
             both = (1 - fraction) * surface.reflectance[low] + fraction * surface.reflectance[high]

@@ -45,7 +45,8 @@ def other_scene(number):
     row = row_of_plants(7 + number, (10 + 2 * number, 11 + 2 * number))
     others = surfaces(np.arange(370.0 + number, 821.0, 7.0))
     leaf = others["leaf"]
-    others["leaf"] = replace(leaf, pattern=leaf.pattern[:, ::2, ::3], relief_mm=leaf.relief_mm[:, ::2, ::3])
+    smaller = {name: images[:, ::2, ::3] for name, images in leaf.textures.items()}
+    others["leaf"] = replace(leaf, **smaller)
     row = replace(row, surfaces=("board", *row.surfaces), face_surface=row.face_surface + 1)
     others["board"] = lambertian_surface("board", 0.3)
     sky = cloudy_sky(number, -0.2)
