@@ -153,8 +153,8 @@ def _export_mesh(
     mesh = scene.mesh
     vertex, surface_of, faces = _split_vertices(mesh.faces, mesh.face_surface)
     variant = np.zeros(len(mesh.vertices), int)
-    of_instance = np.array([item.variant for item in mesh.instances])
-    variant[mesh.faces] = of_instance[mesh.face_instance][:, None]
+    variants = np.array([item.variant for item in mesh.appearances])
+    variant[mesh.faces] = variants[mesh.face_appearance][:, None]
     colours = np.zeros((3, len(vertex), 3), np.float32)
     materials: list[dict[str, Any]] = []
     material_of = np.zeros(len(scene.surfaces), np.int32)

@@ -45,6 +45,21 @@ IGNORE_COLOUR: Final[tuple[int, int, int]] = (128, 128, 128)
 
 
 @dataclass(frozen=True)
+class Appearance:
+    """What tells an organ from others with the same surface; it does not depend on labels.
+
+    Attributes:
+        residue: mean fraction of its upper side that dust or spray residue covers, in [0, 1].
+        ageing: 0 for healthy tissue, 1 for an organ that has dried completely.
+        variant: number from 0 to 65535 that chooses among the textures of its surface.
+    """
+
+    residue: float = 0.0
+    ageing: float = 0.0
+    variant: int = 0
+
+
+@dataclass(frozen=True)
 class Instance:
     """One organ or object with its own value in the instance image.
 
@@ -56,9 +71,6 @@ class Instance:
         parent: index of the instance that it grows on, in the same list; -1 for none.
         far_row: number of the coarse row that it belongs to, beyond the labelled plants; -1 for none.
         ignored: whether its pixels have `IGNORE_CLASS` instead of its class.
-        residue: mean fraction of its upper side that dust or spray residue covers, in [0, 1].
-        ageing: 0 for healthy tissue, 1 for an organ that has dried completely.
-        variant: number from 0 to 65535 that chooses among the textures of its surface.
     """
 
     organ_class: OrganClass
@@ -68,9 +80,6 @@ class Instance:
     parent: int = -1
     far_row: int = -1
     ignored: bool = False
-    residue: float = 0.0
-    ageing: float = 0.0
-    variant: int = 0
 
     def numbered(self, plant: int, parent: int, far_row: int) -> Instance:
         """The instance with another plant, parent and far row.

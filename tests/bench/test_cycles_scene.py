@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import Camera, Distortion, Lens, load_flash, load_sensor
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.materials.gloss import cuticle_transmittance
@@ -43,8 +43,10 @@ def square(surface="plate", z=0.5, state=0.5):
         faces=np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
         face_instance=np.zeros(2, np.uint32),
         face_surface=np.zeros(2, np.uint8),
+        face_appearance=np.zeros(2, np.uint32),
         surfaces=(surface,),
         instances=(Instance(OrganClass.LEAF, "plate"),),
+        appearances=(Appearance(),),
     )
 
 

@@ -11,7 +11,7 @@ import trimesh
 from scipy.stats import kstest
 
 from pepperscene.camera import Camera, Distortion, load_lens, load_sensor
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.dataset.views import random_views
 from pepperscene.dataset.views.aim import aimed_rotations, directions, image_rays
@@ -68,8 +68,10 @@ def soup(triangles):
         faces=np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
         face_instance=np.zeros(count, np.uint32),
         face_surface=np.zeros(count, np.uint8),
+        face_appearance=np.zeros(count, np.uint32),
         surfaces=("leaf",),
         instances=(Instance(OrganClass.PEPPER, "ball", plant=0),),
+        appearances=(Appearance(),),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from pepperscene.camera import AngularProfile, Camera, Flash, load_flash, load_lens, load_sensor
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface
 from pepperscene.scene import uniform_sky
@@ -38,8 +38,10 @@ def body(solid: trimesh.Trimesh, surface: str, organ_class: OrganClass = OrganCl
         faces=solid.faces.astype(np.uint32),
         face_instance=np.zeros(faces, np.uint32),
         face_surface=np.zeros(faces, np.uint8),
+        face_appearance=np.zeros(faces, np.uint32),
         surfaces=(surface,),
         instances=(Instance(organ_class, "test body"),),
+        appearances=(Appearance(),),
     )
 
 

@@ -14,6 +14,7 @@ import pytest
 from bodies import axis_camera, card, sphere
 
 from pepperscene.camera import expected_electrons
+from pepperscene.classes import Appearance
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface, organ_surfaces
@@ -196,7 +197,7 @@ def test_slopes_of_a_cuticle_with_two_lobes_and_a_filtered_relief(camera, parame
     )  # fmt: skip
     mesh = card(0.0, 0.0, 0.05, 0.05, "wall")
     mesh = replace(mesh, uv=(mesh.vertices[:, :2] / 0.05 + 0.5).astype(np.float32))
-    mesh = replace(mesh, instances=(replace(mesh.instances[0], residue=0.3),))
+    mesh = replace(mesh, appearances=(Appearance(residue=0.3),))
     renderer = DifferentiableRenderer(assemble_scene(mesh, {"wall": wall}, DAY), camera, None, quality(16), 3)
     name = f"wall.{parameter}"
     value = renderer.parameters[name]

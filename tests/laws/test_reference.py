@@ -15,6 +15,7 @@ from bodies import axis_camera, card, sheet, sphere
 from scipy import stats
 
 from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_sensor
+from pepperscene.classes import Appearance
 from pepperscene.dataset.recipe.load import load_recipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.geometry import concatenate_meshes
@@ -133,11 +134,11 @@ def weathered_life(sky: Sky | None = None) -> Scene:
     on_leaf = np.unique(mesh.faces[mesh.face_surface == number])
     uv = mesh.uv.copy()
     uv[on_leaf] = (mesh.vertices[on_leaf, :2] - (-0.195, -0.2)) / (0.15, 0.4)
-    organ = int(mesh.face_instance[mesh.face_surface == number][0])
-    instances = list(mesh.instances)
-    instances[organ] = replace(instances[organ], residue=0.3, ageing=0.5, variant=3)
+    appearance = np.where(mesh.face_surface == number, np.uint32(1), np.uint32(0))
+    appearances = (Appearance(), Appearance(residue=0.3, ageing=0.5, variant=3))
     surfaces = tuple(leaf if surface.name == "leaf" else surface for surface in scene.surfaces)
-    return replace(scene, mesh=replace(mesh, uv=uv, instances=tuple(instances)), surfaces=surfaces)
+    mesh = replace(mesh, uv=uv, face_appearance=appearance, appearances=appearances)
+    return replace(scene, mesh=mesh, surfaces=surfaces)
 
 
 BACK, FRONT = (0.4, -0.5, -1.0), (0.12, -0.05, 1.0)  # behind the camera, and in view

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render.kernel.scene import organ_table
@@ -141,8 +141,8 @@ def test_textures_of_a_stack_and_their_mirror_images():
     assert np.abs(seen[0] - seen[1]).max() > 0.1
 
 
-def triangle_mesh(instances: list[Instance], surface: np.ndarray) -> Mesh:
-    """A triangle of each instance and surface `(n,)` of "stacked" (0) and "plain" (1)."""
+def triangle_mesh(appearances: list[Appearance], surface: np.ndarray) -> Mesh:
+    """A triangle of each appearance and surface `(n,)` of "stacked" (0) and "plain" (1)."""
     n = len(surface)
     return Mesh(
         vertices=np.zeros((3 * n, 3), np.float32),
@@ -150,24 +150,24 @@ def triangle_mesh(instances: list[Instance], surface: np.ndarray) -> Mesh:
         uv=np.zeros((3 * n, 2), np.float32),
         state=np.zeros(3 * n, np.float32),
         faces=np.arange(3 * n, dtype=np.uint32).reshape(-1, 3),
-        face_instance=np.arange(n, dtype=np.uint32) % len(instances),
+        face_instance=np.zeros(n, np.uint32),
         face_surface=surface.astype(np.uint8),
+        face_appearance=np.arange(n, dtype=np.uint32) % len(appearances),
         surfaces=("stacked", "plain"),
-        instances=tuple(instances),
+        instances=(Instance(OrganClass.LEAF, "leaf"),),
+        appearances=tuple(appearances),
     )
 
 
 def test_organs_choose_their_textures_by_their_variant():
     stacked = replace(grey(pattern=np.zeros((3, 2, 2), np.float32)), name="stacked")
-    instances = [
-        Instance(OrganClass.LEAF, "leaf", residue=0.1 * k, ageing=0.05 * k, variant=k) for k in range(8)
-    ]
+    appearances = [Appearance(residue=0.1 * k, ageing=0.05 * k, variant=k) for k in range(8)]
     surface = np.array([0] * 8 + [1] * 3)
-    mesh = triangle_mesh(instances, surface)
+    mesh = triangle_mesh(appearances, surface)
     organs, number = organ_table(Scene(mesh, (stacked, lambertian_surface("plain", 0.5))))
     assert len(organs) == 11
     for face, row in enumerate(number):
-        item = instances[face % 8]
+        item = appearances[face % 8]
         assert organs[row, [0, 2, 3]].tolist() == [surface[face], item.residue, item.ageing]
         if surface[face] == 1:
             assert organs[row, 1] == 1.0

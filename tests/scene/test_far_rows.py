@@ -22,8 +22,8 @@ AS_BACKGROUND = replace(GREENHOUSE, far_rows_as=FarRowsAs.BACKGROUND)
 AS_IGNORED = replace(GREENHOUSE, far_rows_as=FarRowsAs.IGNORE)
 
 
-def rows(models, seed=1, greenhouse=GREENHOUSE):
-    return far_row_meshes(models, ROW, greenhouse, np.random.default_rng(seed))
+def rows(models, seed=1, greenhouse=GREENHOUSE, others=0):
+    return far_row_meshes(models, ROW, greenhouse, np.random.default_rng(seed), others)
 
 
 def ball(radius):
@@ -140,10 +140,14 @@ def test_as_ignored_each_row_is_one_instance_of_no_class(coarse):
 def test_how_rows_are_labelled_moves_no_triangle_and_culls_none(coarse):
     models = [coarse, ball(0.1)]
     expected = concatenate_meshes(rows(models, greenhouse=AS_BACKGROUND))
-    for greenhouse in (GREENHOUSE, AS_IGNORED):
-        mesh = concatenate_meshes(rows(models, greenhouse=greenhouse))
-        for name in ("vertices", "normals", "uv", "state", "faces", "face_surface"):
+    leaf = expected.surfaces.index("leaf")
+    assert len({*expected.face_appearance[expected.face_surface == leaf].tolist()}) > 10
+    # The last scene has so many other instances that all organs of a class of a row are one.
+    for greenhouse, others in ((GREENHOUSE, 0), (AS_IGNORED, 0), (GREENHOUSE, 60_000)):
+        mesh = concatenate_meshes(rows(models, greenhouse=greenhouse, others=others))
+        for name in ("vertices", "normals", "uv", "state", "faces", "face_surface", "face_appearance"):
             np.testing.assert_array_equal(getattr(mesh, name), getattr(expected, name))
+        assert mesh.appearances == expected.appearances
         for name in ("faces", "vertices", "centres", "radii"):
             found, wanted = getattr(mesh_chunks(mesh), name), getattr(mesh_chunks(expected), name)
             np.testing.assert_array_equal(found, wanted)

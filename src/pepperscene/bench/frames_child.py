@@ -194,6 +194,7 @@ def subdivide_mesh(mesh: Mesh) -> Mesh:
         faces=position[faces].astype(np.uint32),
         face_instance=face_instance,
         face_surface=np.repeat(mesh.face_surface, 4),
+        face_appearance=np.repeat(mesh.face_appearance, 4),
     )
 
 

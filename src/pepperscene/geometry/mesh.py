@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import Appearance, Instance, OrganClass
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
@@ -42,8 +42,11 @@ class Mesh:
         faces: `(f, 3)` uint32, counter-clockwise seen from the side that the normals point to.
         face_instance: `(f,)` uint32, index into `instances`, which also give the class of a face.
         face_surface: `(f,)` uint8, index into `surfaces`.
+        face_appearance: `(f,)` uint32, index into `appearances`.
         surfaces: names of the surfaces used.
-        instances: the organs that the mesh consists of.
+        instances: the organs that the mesh consists of, as labels distinguish them.
+        appearances: of organs, as light distinguishes them. Organs that are merged into one instance keep
+            theirs, so that light does not depend on labels.
     """
 
     vertices: SingleArray
@@ -53,8 +56,10 @@ class Mesh:
     faces: NDArray[np.uint32]
     face_instance: NDArray[np.uint32]
     face_surface: NDArray[np.uint8]
+    face_appearance: NDArray[np.uint32]
     surfaces: tuple[str, ...]
     instances: tuple[Instance, ...]
+    appearances: tuple[Appearance, ...]
 
     @property
     def face_class(self) -> NDArray[np.uint8]:
@@ -166,6 +171,7 @@ class Mesh:
         used = np.zeros(len(self.vertices), dtype=bool)
         used[old_faces] = True
         surfaces, face_surface = np.unique(self.face_surface[kept], return_inverse=True)
+        appearances, face_appearance = np.unique(self.face_appearance[kept], return_inverse=True)
         return Mesh(
             vertices=self.vertices[used],
             normals=self.normals[used],
@@ -174,11 +180,13 @@ class Mesh:
             faces=(np.cumsum(used) - 1)[old_faces].astype(np.uint32),
             face_instance=new_index[self.face_instance[kept]].astype(np.uint32),
             face_surface=face_surface.astype(np.uint8),
+            face_appearance=face_appearance.astype(np.uint32),
             surfaces=tuple(self.surfaces[index] for index in surfaces),
             instances=tuple(
                 replace(item, parent=int(new_index[item.parent]) if item.parent >= 0 else -1)
                 for item in (self.instances[index] for index in indices)
             ),
+            appearances=tuple(self.appearances[index] for index in appearances),
         )
 
     def with_plant(self, plant: int) -> Mesh:
@@ -202,7 +210,9 @@ def _transform(points: SingleArray, rotation: FloatArray, translation: FloatArra
 
 
 def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Join meshes; instances are renumbered in order, surfaces of equal name become one.
+    """Join meshes; instances are renumbered in order.
+
+    Surfaces of equal name become one, and so do equal appearances.
 
     Raises:
         ValueError: no meshes are given.
@@ -210,8 +220,9 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
     if not meshes:
         raise ValueError("at least one mesh is needed")
     names = tuple(dict.fromkeys(name for mesh in meshes for name in mesh.surfaces))
-    faces, face_instances, face_surfaces = [], [], []
+    faces, face_instances, face_surfaces, face_appearances = [], [], [], []
     instances: list[Instance] = []
+    number: dict[Appearance, int] = {}
     vertex_offset = 0
     for mesh in meshes:
         surface_index = np.array([names.index(name) for name in mesh.surfaces], dtype=np.uint8)
@@ -219,6 +230,8 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
         faces.append(mesh.faces + np.uint32(vertex_offset))
         face_instances.append(mesh.face_instance + np.uint32(offset))
         face_surfaces.append(surface_index[mesh.face_surface])
+        appearance_index = np.array([number.setdefault(item, len(number)) for item in mesh.appearances])
+        face_appearances.append(appearance_index.astype(np.uint32)[mesh.face_appearance])
         instances += [
             item.numbered(item.plant, item.parent + offset, item.far_row)
             if offset and item.parent >= 0
@@ -234,8 +247,10 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
         faces=np.concatenate(faces),
         face_instance=np.concatenate(face_instances),
         face_surface=np.concatenate(face_surfaces),
+        face_appearance=np.concatenate(face_appearances),
         surfaces=names,
         instances=tuple(instances),
+        appearances=tuple(number),
     )
 
 
@@ -258,6 +273,8 @@ def single_instance_mesh(
         faces=faces.astype(np.uint32),
         face_instance=np.zeros(len(faces), dtype=np.uint32),
         face_surface=np.zeros(len(faces), dtype=np.uint8),
+        face_appearance=np.zeros(len(faces), dtype=np.uint32),
         surfaces=(surface,),
         instances=(Instance(organ_class, kind),),
+        appearances=(Appearance(),),
     )

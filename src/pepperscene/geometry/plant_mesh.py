@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.classes import Instance
+from pepperscene.classes import Appearance, Instance
 from pepperscene.cultivar.organs import OrganForm
 from pepperscene.geometry.batch import MeshBatch, form_indices
 from pepperscene.geometry.blade.blades import mesh_blades
@@ -92,18 +92,19 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
         faces=np.concatenate(faces),
         face_instance=face_instance,
         face_surface=surface[face_instance],
+        face_appearance=face_instance,
         surfaces=surfaces,
         instances=tuple(
-            Instance(
-                kind.organ_class,
-                organ.kind,
-                phytomer=organ.phytomer,
-                parent=organ.parent,
+            Instance(kind.organ_class, organ.kind, phytomer=organ.phytomer, parent=organ.parent)
+            for organ, kind in zip(plant.organs, kinds, strict=True)
+        ),
+        appearances=tuple(
+            Appearance(
                 residue=organ.measures.get("residue", 0.0),
                 ageing=organ.measures.get("ageing", 0.0),
                 variant=int(organ.measures.get("seed", 0.0) * 2.0**16) % 2**16,
             )
-            for organ, kind in zip(plant.organs, kinds, strict=True)
+            for organ in plant.organs
         ),
     )
 

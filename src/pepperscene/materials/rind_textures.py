@@ -1,6 +1,6 @@
 """Textures of rinds over uv: variation of pigment, height and cork of fruit, stems, stalks and calyces.
 
-Every surface has several textures, which `Instance.variant` chooses from. Their random fields are drawn
+Every surface has several textures, which `Appearance.variant` chooses from. Their random fields are drawn
 together and made uncorrelated, so that no two fruit show the same patches.
 """
 

@@ -91,7 +91,7 @@ def far_row_meshes(
 ) -> list[Mesh]:
     """The neighbouring double rows, and the continuation of the labelled rows to either side.
 
-    Vertices and faces do not depend on how the rows are labelled.
+    Vertices, faces and appearances do not depend on how the rows are labelled.
 
     Args:
         models: plants with their aisle at -y; each is repeated many times with random turns.
@@ -220,8 +220,10 @@ def _repeated_plant(plant: Mesh, rotations: NDArray[np.float64], bases: NDArray[
         faces=(plant.faces[None] + count * copy[..., None]).reshape(-1, 3),
         face_instance=(plant.face_instance[None] + organs * copy).ravel(),
         face_surface=np.tile(plant.face_surface, n),
+        face_appearance=np.tile(plant.face_appearance, n),
         surfaces=plant.surfaces,
         instances=(Instance(OrganClass.BACKGROUND, ""),) * (n * organs),
+        appearances=plant.appearances,
     )
 
 

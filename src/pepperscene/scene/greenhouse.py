@@ -95,7 +95,7 @@ def rod(y: float, z: float, radius_m: float, ends: tuple[float, float], surface:
 
 
 def as_single_instance(mesh: Mesh, kind: str, organ_class: OrganClass = OrganClass.BACKGROUND) -> Mesh:
-    """The mesh with all its faces in one instance."""
+    """The mesh with all its faces in one instance; they keep their surfaces and appearances."""
     face_instance = np.zeros(len(mesh.faces), dtype=np.uint32)
     return replace(mesh, face_instance=face_instance, instances=(Instance(organ_class, kind),))
 

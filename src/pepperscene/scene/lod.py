@@ -37,10 +37,10 @@ class Triangles:
 
     vertices: Index  # `(k,)` indices of the mesh's vertices
     faces: NDArray[np.integer]  # `(m, 3)` indices into `vertices`
-    source: Index  # `(m,)` index of the mesh's face whose instance and surface each triangle takes
+    source: Index  # `(m,)` index of the mesh's face that each triangle takes its instance and others from
 
     def taken_from(self, mesh: Mesh) -> Mesh:
-        """The mesh of these triangles; instances and surfaces keep their numbers."""
+        """The mesh of these triangles; instances, surfaces and appearances keep their numbers."""
         return replace(
             mesh,
             vertices=mesh.vertices.take(self.vertices, axis=0),
@@ -50,6 +50,7 @@ class Triangles:
             faces=self.faces.astype(np.uint32, copy=False),
             face_instance=mesh.face_instance[self.source],
             face_surface=mesh.face_surface[self.source],
+            face_appearance=mesh.face_appearance[self.source],
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from bodies import RANGE_NM
 
 from pepperscene.camera import Camera
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface, lambertian_surface
@@ -74,8 +74,10 @@ def triangles(corners: np.ndarray, uv: np.ndarray | None = None, name: str = "le
         faces=np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
         face_instance=np.zeros(count, np.uint32),
         face_surface=np.zeros(count, np.uint8),
+        face_appearance=np.zeros(count, np.uint32),
         surfaces=(name,),
         instances=(Instance(OrganClass.LEAF, "test body"),),
+        appearances=(Appearance(),),
     )
 
 
@@ -86,6 +88,7 @@ def with_faces(mesh: Mesh, faces: np.ndarray) -> Mesh:
         faces=np.concatenate([mesh.faces, faces.astype(np.uint32)]),
         face_instance=np.concatenate([mesh.face_instance, np.zeros(len(faces), np.uint32)]),
         face_surface=np.concatenate([mesh.face_surface, np.zeros(len(faces), np.uint8)]),
+        face_appearance=np.concatenate([mesh.face_appearance, np.zeros(len(faces), np.uint32)]),
     )
 
 

@@ -83,6 +83,7 @@ def isolated_organs(mesh: Mesh, instances: Sequence[int]) -> dict[int, IsolatedO
             faces=faces - np.uint32(used.start),
             face_instance=np.zeros(len(rows), np.uint32),
             face_surface=mesh.face_surface[rows],
+            face_appearance=mesh.face_appearance[rows],
             instances=(mesh.instances[instance],),
         )
         organs[instance] = IsolatedOrgan(part, coordinates)

@@ -77,18 +77,18 @@ def check_surfaces(scene: Scene) -> None:
 def organ_table(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Organs as `Optics` packs them, `(o, 4)`, and `(f,)` the number of each triangle's organ.
 
-    An organ with several surfaces counts once for each, with the texture of `choose_texture`.
+    One for each appearance and surface that occur together, with the texture of `choose_texture`.
 
     Raises:
         ValueError: there are no surfaces.
     """
     check_surfaces(scene)
     mesh, count = scene.mesh, len(scene.surfaces)
-    pair = mesh.face_instance.astype(np.int64) * count + mesh.face_surface
-    is_used = np.zeros(len(mesh.instances) * count, dtype=bool)
+    pair = mesh.face_appearance.astype(np.int64) * count + mesh.face_surface
+    is_used = np.zeros(len(mesh.appearances) * count, dtype=bool)
     is_used[pair] = True
-    instance, surface = np.divmod(np.flatnonzero(is_used), count)
-    values = np.array([(item.variant, item.residue, item.ageing) for item in mesh.instances])[instance]
+    appearance, surface = np.divmod(np.flatnonzero(is_used), count)
+    values = np.array([(item.variant, item.residue, item.ageing) for item in mesh.appearances])[appearance]
     counts = np.array([texture_count(surface) for surface in scene.surfaces])[surface]
     texture, mirrored = choose_texture(counts, values[:, 0].astype(np.int64))
     signed = np.where(mirrored, -1, 1) * (1 + texture)
