@@ -44,7 +44,7 @@ test: $(VENV)/.installed-tests
 	$(PYTEST)
 
 test-long: $(VENV)/.installed-tests
-	$(BIN)/python -m pytest -m long
+	$(BIN)/python -m pytest -m long --timeout=0
 
 # PyTorch has other versions on other machines, so it is left out.
 lock: $(VENV)/.installed-tests

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -209,8 +210,8 @@ def test_other_processes_make_the_same_vertices(digests: list[str], hash_seed: s
 
 
 def test_workers_make_the_same_vertices(digests: list[str]) -> None:
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
-        assert pool.map(digest, [3, 4, 3, 4], chunksize=1) == digests * 2
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        assert list(pool.map(digest, [3, 4, 3, 4])) == digests * 2
 
 
 def test_plants_differ_between_seeds(digests: list[str]) -> None:
