@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.geometry.contacts.coarse import ROUGH
 from pepperscene.geometry.contacts.cost import ContactCosts, swept_boxes, weighted_effort
 from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles
 from pepperscene.geometry.contacts.detect import ContactDetector
@@ -26,6 +27,7 @@ _PER_CROSSING: Final = 0.03  # cost of a pair of triangles that cross, chosen, b
 _PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free poses the smallest is used
 _MIN_GAIN: Final = 0.2  # chosen
 _LARGE_UNITS: Final = 6  # chosen: from this pass on both organs are tried, and shoots with several leaves
+_ROUGH_CLEARANCE: Final = 2.5e-3
 _BLOCK: Final = 128  # boxes compared at a time, chosen
 
 
@@ -74,14 +76,16 @@ class LeafSolver:
         self._angles, self._move, self._units_of = angles, move, units_of
         self._leafy = np.isin(self._organs.organ_class, [LEAF, SHOOT])
         self._examined = self._organs.of_class(LEAF, SHOOT, STALK, STEM)
-        self._triangles = CoarseTriangles(self._organs, self._examined)
+        self._fine = CoarseTriangles(self._organs, self._examined)
+        self._rough = CoarseTriangles(self._organs, self._examined, ROUGH)
         self._pairs = np.empty((0, 2), dtype=np.intp)
+        self._costs = np.empty(0)  # of each pair
 
     def run(self, passes: int, rng: np.random.Generator) -> None:
         """Try to free all leaves, at most so many times; `rng` decides the candidate poses."""
         moved, between = np.arange(len(self._organs)), self._detector.between_plants
         for number in range(passes):
-            self._detect(moved, between_plants=between and number == 0)
+            self._detect(moved, between_plants=False)
             if not len(self._pairs):
                 return
             before = self._organs.moves
@@ -91,7 +95,8 @@ class LeafSolver:
     def _detect(self, moved: IndexArray, *, between_plants: bool) -> None:
         """Update the pairs of organs that cross after some have moved."""
         organs = self._organs
-        self._triangles.update()
+        self._fine.update()
+        self._rough.update()
         changed = np.zeros(len(organs), dtype=bool)
         changed[moved] = True
         leaves = self._examined[self._leafy[self._examined]]
@@ -107,9 +112,11 @@ class LeafSolver:
         one, two = key // len(organs), key % len(organs)
         distinct, entry = np.unique(one, return_inverse=True)
         still = np.tile(np.eye(3), (len(distinct), 1, 1)), np.zeros((len(distinct), 3))
-        crosses = self._triangles.count(distinct, *still, entry, two) > 0
-        unchanged = self._pairs[~changed[self._pairs].any(axis=1)]
-        self._pairs = np.concatenate([unchanged, np.stack([one, two], axis=1)[crosses]])
+        number = self._fine.count(distinct, *still, entry, two)
+        crosses = number > 0
+        unchanged = ~changed[self._pairs].any(axis=1)
+        self._pairs = np.concatenate([self._pairs[unchanged], np.stack([one, two], axis=1)[crosses]])
+        self._costs = np.concatenate([self._costs[unchanged], _pair_cost(number[crosses], _PER_CROSSING)])
 
     def _run_pass(self, number: int, phase: FloatArray) -> None:
         """Try some units once, and move those that gain."""
@@ -117,7 +124,10 @@ class LeafSolver:
         if not units:
             return
         poses = self._candidate_poses(units, _POSES[min(number, len(_POSES) - 1)], phase)
-        unit, pose, gain = self._best_poses(poses, self._crossing_cost(poses))
+        rough = number < _LARGE_UNITS
+        self._clear = _ROUGH_CLEARANCE if rough else CLEARANCE
+        self._per = 4 * _PER_CROSSING if rough else _PER_CROSSING
+        unit, pose, gain = self._best_poses(poses, self._crossing_cost(poses, self._rough if rough else self._fine))
         if not len(unit):
             return
         clashes = self._clashes(poses, unit, pose)
@@ -163,11 +173,11 @@ class LeafSolver:
         steps = angles.shape[1]
         entry = np.repeat(np.arange(len(members)), steps)
         part = transforms.select((owner[entry], np.tile(np.arange(steps), len(members))))
-        boxes = self._triangles.boxes(members[entry], part.rotation, part.shift)
+        boxes = self._rough.boxes(members[entry], part.rotation, part.shift)
         return _Poses(units, angles, transforms, members, owner, part.rotation, part.shift, *boxes)
 
-    def _crossing_cost(self, poses: _Poses) -> FloatArray:
-        """`(u, k)` costs of what crosses in each pose."""
+    def _crossing_cost(self, poses: _Poses, triangles: CoarseTriangles) -> FloatArray:
+        """`(u, k)` costs of what crosses in each pose; infinite for those that are not examined."""
         organs, members, owner, steps = self._organs, poses.members, poses.owner, poses.count
         others = self._examined
         low, high = swept_boxes(organs, members, owner, poses.transforms)
@@ -177,17 +187,56 @@ class LeafSolver:
         inside = np.zeros((len(poses.units), len(organs)), dtype=bool)
         inside[owner, members] = True
         kept = _must_not_cross(organs, members[row], other) & ~inside[owner[row], other]
-        entry = (row[kept, None] * steps + np.arange(steps)).ravel()
-        other = np.repeat(other[kept], steps)
+        row, other = row[kept], other[kept]
+        # The present cost of each unit, and the organs that it crosses.
+        current = np.zeros(len(poses.units))
+        crossed = np.zeros_like(inside)
+        for one, two in (self._pairs.T, self._pairs.T[::-1]):
+            unit, pair = np.nonzero(inside[:, one] & ~inside[:, two])
+            np.add.at(current, unit, self._costs[pair])
+            crossed[unit, two[pair]] = True
+        entry = (row[:, None] * steps + np.arange(1, steps)).ravel()
+        other = np.repeat(other, steps - 1)
         near = boxes_overlap(poses.low[entry], poses.high[entry], organs.low[other], organs.high[other])
         entry, other = entry[near], other[near]
+        unit, step = owner[entry // steps], entry % steps
         moving = np.repeat(members, steps)
-        number = self._triangles.count(moving, poses.rotation, poses.shift, entry, other)
-        cost = np.zeros((len(poses.units), steps))
-        each = np.where(number > 0, 1.0 + _PER_CROSSING * number, 0.0)
-        np.add.at(cost, (owner[entry // steps], entry % steps), each)
         weights = np.array([unit.weights for unit in poses.units])[:, None]
-        return cost + _PER_DEGREE * weighted_effort(poses.angles, weights)
+        effort = _PER_DEGREE * weighted_effort(poses.angles, weights)
+        cost = effort.copy()
+        cost[:, 0] += current
+        limit = cost[:, :1] - _MIN_GAIN
+
+        def examine(rows: IndexArray) -> None:
+            organ, place = np.unique(entry[rows], return_inverse=True)
+            number = triangles.count(
+                moving[organ], poses.rotation[organ], poses.shift[organ], place, other[rows], self._clear
+            )
+            np.add.at(cost, (unit[rows], step[rows]), _pair_cost(number, self._per))
+
+        first = crossed[unit, other]
+        examine(np.flatnonzero(first))
+        waiting = np.flatnonzero(~first)
+        alive = cost < limit
+        alive[:, 0] = False
+        # Poses in order of their effort: a free one is better than all after it.
+        rank = np.argsort(np.argsort(np.where(alive, cost, np.inf), axis=1, kind="stable"), axis=1)
+        done = np.zeros(len(cost), dtype=bool)
+        start, examined = 0, ~alive
+        while start < steps and len(waiting):
+            stop = 2 * start + 1
+            batch = alive & (rank >= start) & (rank < stop) & ~done[:, None]
+            rows = batch[unit[waiting], step[waiting]]
+            if rows.any():
+                examine(waiting[rows])
+            examined |= batch
+            done |= np.any(examined & alive & (cost <= effort), axis=1)
+            waiting = waiting[~rows & ~done[unit[waiting]]]
+            start = stop
+        if not len(waiting):
+            examined |= alive
+        cost[~examined] = np.inf
+        return cost
 
     def _best_poses(self, poses: _Poses, cost: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
         """Units with a better pose that is not nearer to fruit, stems or the ground: unit, pose and gain."""
@@ -224,7 +273,7 @@ class LeafSolver:
         back = poses.rotation[entry[m]].swapaxes(1, 2)
         rotation = np.matmul(back, poses.rotation[entry[k]])
         shift = np.matmul(back, (poses.shift[entry[k]] - poses.shift[entry[m]])[:, :, None])[:, :, 0]
-        crosses = self._triangles.count(organ[k], rotation, shift, np.arange(len(k)), organ[m]) > 0
+        crosses = self._fine.count(organ[k], rotation, shift, np.arange(len(k)), organ[m]) > 0
         # Units of the same organs clash wherever they are: each was tried with the other at its old pose.
         same, also = np.nonzero(np.triu(_shared_organs([poses.units[row] for row in unit.tolist()]), 1))
         clashes: dict[int, list[int]] = {}
@@ -236,6 +285,11 @@ class LeafSolver:
             clashes.setdefault(first, []).append(second)
             clashes.setdefault(second, []).append(first)
         return clashes
+
+
+def _pair_cost(number: IndexArray, each: float) -> FloatArray:
+    """`(n,)` costs of pairs of organs of which so many triangles cross."""
+    return np.where(number > 0, 1.0 + each * number, 0.0)
 
 
 def _shared_organs(units: Sequence[MovableUnit]) -> NDArray[np.bool_]:
