@@ -76,6 +76,7 @@ class CoarseTriangles:
             shift: `(e, 3)` metres: the motion of each.
             entry: `(n,)` index of the first organ of each pair among these.
             other: `(n,)` second organ of each pair, which stays.
+            clearance: metres.
 
         Returns:
             `(n,)` numbers of pairs of triangles.
