@@ -215,12 +215,16 @@ def test_between_plants_resolves_contacts_of_neighbours() -> None:
         assert count_contacts(now).fruit_touching <= count_contacts(alone).fruit_touching
 
 
-def test_between_plants_ignores_contacts_within_a_plant() -> None:
+def test_between_plants_only_leaves_are_tried_again_within_a_plant() -> None:
     far = shifted(grown("kaite", 5)[1].with_plant(1), 3.0)
     row = concatenate_meshes([grown()[1].with_plant(0), far])
+    assert count_contacts(row).fruit_touching > 2
     result = resolve_contacts(row, np.random.default_rng(0), between_plants=True)
-    assert result.motions == ()
-    assert result.contacts.fruit_touching == 0
+    assert result.contacts.fruit_touching == 0  # of those between plants
+    classes = {row.instances[motion.instance].organ_class for motion in result.motions}
+    assert OrganClass.LEAF in classes
+    assert OrganClass.PEPPER not in classes
+    assert OrganClass.PEDUNCLE not in classes
 
 
 def solver_and_round(number: int = 0) -> tuple[ContactSolver, _Round]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,29 +10,43 @@ import numpy as np
 from pepperscene.geometry.contacts.organs import LEAF
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
-_ALONG: Final = 9  # rows of vertices along a blade between base and tip, chosen: every 14 mm
-_ACROSS: Final = 5  # vertices in a row, chosen
-_RINGS: Final = 7  # rings of a tube, chosen
-_AROUND: Final = 4  # vertices in a ring, chosen
+
+@dataclass(frozen=True)
+class Resolution:
+    """How many of an organ's vertices its coarse triangles use."""
+
+    along: int  # rows of vertices along a blade between base and tip
+    across: int  # vertices in a row
+    rings: int  # of a tube
+    around: int  # vertices in a ring
+    few: int  # organs with at most so many triangles keep them
 
 
-def coarse_faces(uv: SingleArray, organ_class: int) -> IndexArray:
+FINE: Final = Resolution(9, 5, 7, 4, 64)
+"""Chosen: rows 14 mm apart on a blade; decides whether organs cross."""
+
+ROUGH: Final = Resolution(4, 3, 4, 3, 24)
+"""Chosen: rows 28 mm apart on a blade, a fifth of the triangles; compares candidate poses."""
+
+
+def coarse_faces(uv: SingleArray, organ_class: int, resolution: Resolution) -> IndexArray:
     """Choose `(f, 3)` triangles on some vertices of an organ with surface coordinates `(v, 2)`."""
     wide = uv.astype(np.float64)
-    return _sheet_faces(wide) if organ_class == LEAF else _tube_faces(wide)
+    return _sheet_faces(wide, resolution) if organ_class == LEAF else _tube_faces(wide, resolution)
 
 
-def _sheet_faces(uv: FloatArray) -> IndexArray:
+def _sheet_faces(uv: FloatArray, resolution: Resolution) -> IndexArray:
     """Triangles of a blade: rows of vertices from margin to margin, without triangles between its lobes."""
     from scipy.spatial import Delaunay
 
     place = np.stack([2.0 * uv[:, 0] - 1.0, 2.0 * uv[:, 1]], axis=1)
     targets = [place[place[:, 1].argmin()], place[place[:, 1].argmax()]]
-    for along in 2.0 * np.arange(1, _ALONG + 1) / (_ALONG + 1):
+    for along in 2.0 * np.arange(1, resolution.along + 1) / (resolution.along + 1):
         out = place[np.abs(place[:, 1] - along) < 0.12, 0]
         low, high = (out.min(), out.max()) if len(out) else (0.0, 0.0)
         targets += [
-            np.array([x, along]) for x in np.interp(np.linspace(-1, 1, _ACROSS), [-1, 0, 1], [low, 0, high])
+            np.array([x, along])
+            for x in np.interp(np.linspace(-1, 1, resolution.across), [-1, 0, 1], [low, 0, high])
         ]
     nearest = [int(np.square(place - target).sum(axis=1).argmin()) for target in targets]
     rows = np.unique(nearest)
@@ -43,14 +58,15 @@ def _sheet_faces(uv: FloatArray) -> IndexArray:
     return np.asarray(faces[(area > 1e-3) & (gap < 0.15**2)], dtype=np.intp)
 
 
-def _tube_faces(uv: FloatArray) -> IndexArray:
+def _tube_faces(uv: FloatArray, resolution: Resolution) -> IndexArray:
     """Triangles of a closed body: some of its rings, some vertices of each."""
     levels = np.unique(np.round(uv[:, 1], 4))
-    chosen = np.unique(np.round(np.linspace(0, len(levels) - 1, _RINGS)).astype(np.intp))
+    chosen = np.unique(np.round(np.linspace(0, len(levels) - 1, resolution.rings)).astype(np.intp))
+    turns = np.arange(resolution.around) / resolution.around
     rings = []
     for level in levels[chosen]:
         ring = np.flatnonzero(np.abs(uv[:, 1] - level) < 1e-3)
-        nearest = np.abs(uv[ring, 0] - np.arange(_AROUND)[:, None] / _AROUND).argmin(axis=1)
+        nearest = np.abs(uv[ring, 0] - turns[:, None]).argmin(axis=1)
         rings.append(ring[nearest])
     low, high = np.array(rings[:-1]), np.array(rings[1:])
     after = [np.roll(ring, -1, axis=1) for ring in (low, high)]

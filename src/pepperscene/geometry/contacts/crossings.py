@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.coarse import coarse_faces
+from pepperscene.geometry.contacts.coarse import FINE, Resolution, coarse_faces
 from pepperscene.geometry.contacts.organs import Organs
 from pepperscene.geometry.contacts.patches import expand_counts
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
@@ -21,8 +21,6 @@ _BLOCK: Final = 1 << 18  # pairs of boxes compared at a time, chosen: they fit i
 CLEARANCE: Final = 1.5e-3
 """Metres, chosen: triangles closer than this cross, as fine ones may between the vertices of coarse ones."""
 
-_FEW: Final = 64  # triangles, chosen: organs with so few are not made coarser
-
 Corners = tuple[SingleArray, SingleArray, SingleArray]
 """Corners of triangles, `(3, n)` metres each."""
 
@@ -30,24 +28,9 @@ Corners = tuple[SingleArray, SingleArray, SingleArray]
 class CoarseTriangles:
     """Coarse triangles of some organs of a mesh, `chosen` `(m,)`, at the organs' current poses."""
 
-    def __init__(self, organs: Organs, chosen: IndexArray) -> None:
+    def __init__(self, organs: Organs, chosen: IndexArray, resolution: Resolution = FINE) -> None:
         self._organs, self._seen = organs, 0
-        layouts: dict[tuple[int, int], IndexArray] = {}
-        vertices, faces = [], []
-        for organ in chosen.tolist():
-            rows, own = organs.vertex_rows(organ), organs.faces(organ)
-            if len(own) > _FEW:
-                # Organs of one form share their grid, and so the coarse triangles.
-                key = int(organs.organ_class[organ]), len(own)
-                if key not in layouts or not isinstance(rows, slice):
-                    layouts[key] = coarse_faces(organs.vertex_uv(organ), key[0])
-                coarse = layouts[key]
-                used, corners = np.unique(coarse, return_inverse=True)
-                used = used + rows.start if isinstance(rows, slice) else rows[used]
-            else:
-                used, corners = np.unique(own.astype(np.intp), return_inverse=True)
-            vertices.append(used)
-            faces.append(corners.reshape(-1, 3))
+        vertices, faces = _choose_triangles(organs, chosen, resolution)
         self._vertices, self._faces = (_Runs(len(organs), chosen, parts) for parts in (vertices, faces))
         empty = np.empty(0, dtype=np.intp)
         rest = organs.mesh.vertices[np.concatenate([empty, *vertices])]
@@ -77,7 +60,13 @@ class CoarseTriangles:
         return low - CLEARANCE, high + CLEARANCE
 
     def count(
-        self, organ: IndexArray, rotation: FloatArray, shift: FloatArray, entry: IndexArray, other: IndexArray
+        self,
+        organ: IndexArray,
+        rotation: FloatArray,
+        shift: FloatArray,
+        entry: IndexArray,
+        other: IndexArray,
+        clearance: float = CLEARANCE,
     ) -> IndexArray:
         """Count pairs of triangles that cross or are closer than the clearance.
 
@@ -87,6 +76,7 @@ class CoarseTriangles:
             shift: `(e, 3)` metres: the motion of each.
             entry: `(n,)` index of the first organ of each pair among these.
             other: `(n,)` second organ of each pair, which stays.
+            clearance: metres.
 
         Returns:
             `(n,)` numbers of pairs of triangles.
@@ -101,7 +91,7 @@ class CoarseTriangles:
         offset = self._vertices.starts(organ) - self._vertices.first[organ]
         corners = self._corners[:, face] + offset[position]
         low, high = _boxes(points, corners)
-        boxes = low - np.float32(CLEARANCE), high + np.float32(CLEARANCE)
+        boxes = low - np.float32(clearance), high + np.float32(clearance)
         starts = self._faces.starts(organ)
         # The triangles of the first organ near the box of the second, those of the second near the box around
         # these, and of these the triangles near the box around those.
@@ -136,10 +126,36 @@ class CoarseTriangles:
             a, b, row = _overlapping_pairs(boxes, a, other_boxes, b, own_pair[done:end][row])
             one = points[:, corners[0, a]], points[:, corners[1, a]], points[:, corners[2, a]]
             x, y, z = other_corners[:, b]
-            crossing = crossing_triangles(one, (self._points[:, x], self._points[:, y], self._points[:, z]))
+            two = self._points[:, x], self._points[:, y], self._points[:, z]
+            crossing = crossing_triangles(one, two, clearance)
             result += np.bincount(row[crossing], minlength=len(result))
             done = end
         return result
+
+
+def _choose_triangles(
+    organs: Organs, chosen: IndexArray, resolution: Resolution
+) -> tuple[list[IndexArray], list[IndexArray]]:
+    """Vertices of each organ in the mesh, and the corners of its coarse triangles among these."""
+    layouts: dict[tuple[int, int], tuple[IndexArray, IndexArray]] = {}
+    vertices, faces = [], []
+    for organ in chosen.tolist():
+        rows, own = organs.vertex_rows(organ), organs.faces(organ)
+        if len(own) > resolution.few:
+            # Organs of one form share their grid, and so the coarse triangles.
+            key = int(organs.organ_class[organ]), len(own)
+            if key not in layouts or not isinstance(rows, slice):
+                coarse = coarse_faces(organs.vertex_uv(organ), key[0], resolution)
+                layouts[key] = np.unique(coarse, return_inverse=True)
+            used, corners = layouts[key]
+            used = used + rows.start if isinstance(rows, slice) else rows[used]
+        elif isinstance(rows, slice):
+            used, corners = np.arange(rows.start, rows.stop), own.astype(np.intp) - rows.start
+        else:
+            used, corners = np.unique(own.astype(np.intp), return_inverse=True)
+        vertices.append(used)
+        faces.append(corners.reshape(-1, 3))
+    return vertices, faces
 
 
 class _Runs:

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.geometry.contacts.coarse import ROUGH
 from pepperscene.geometry.contacts.cost import ContactCosts, swept_boxes, weighted_effort
 from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles
 from pepperscene.geometry.contacts.detect import ContactDetector
@@ -22,10 +23,14 @@ PASSES: Final = 16
 
 _POSES: Final = (4, 4, 5, 6, 8, 10, 12, 16)  # chosen: poses tried in each pass, then as in the last
 _EXAMINED: Final = 3  # chosen: the best of these, examined with fruit, stems and the ground
-_PER_CROSSING: Final = 0.03  # cost of a pair of triangles that cross, chosen, beside 1 for the pair of organs
+_PER_CROSSING: Final = 0.06  # cost of a pair of fine triangles that cross, chosen, beside 1 for the organs
+_PER_ROUGH_CROSSING: Final = 4.0 * _PER_CROSSING  # chosen: there are fewer rough triangles, in every way
+_LARGE_CLEARANCE: Final = 2.5e-3  # m, chosen: of rough triangles, which are farther from the surface
+_ROUGH_CLEARANCE: Final = 2.0e-3  # m, chosen: in later passes, as little space is left
 _PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free poses the smallest is used
 _MIN_GAIN: Final = 0.2  # chosen
 _LARGE_UNITS: Final = 6  # chosen: from this pass on both organs are tried, and shoots with several leaves
+_IDLE: Final = 3  # chosen: after so many passes in a row without any motion, others rarely find one
 _BLOCK: Final = 128  # boxes compared at a time, chosen
 
 
@@ -50,8 +55,19 @@ class _Poses:
         return int(self.angles.shape[1])
 
 
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """How crossings in a pose are counted."""
+
+    triangles: CoarseTriangles
+    clearance: float  # metres
+    per_crossing: float  # cost of a pair of triangles
+
+
 class LeafSolver:
     """Moves leaves and shoots that cross each other, other stalks, or stems they do not grow on.
+
+    Fine triangles decide which organs cross, rough ones compare poses.
 
     All units that may free a pair are tried from the current poses. Then the best pose of each is taken, the
     largest gain first, unless it crosses one that has been taken already.
@@ -74,24 +90,33 @@ class LeafSolver:
         self._angles, self._move, self._units_of = angles, move, units_of
         self._leafy = np.isin(self._organs.organ_class, [LEAF, SHOOT])
         self._examined = self._organs.of_class(LEAF, SHOOT, STALK, STEM)
-        self._triangles = CoarseTriangles(self._organs, self._examined)
+        self._fine = CoarseTriangles(self._organs, self._examined)
+        self._rough = CoarseTriangles(self._organs, self._examined, ROUGH)
+        self._exact = _Judge(self._fine, CLEARANCE, _PER_CROSSING)
+        self._early = _Judge(self._rough, _LARGE_CLEARANCE, _PER_ROUGH_CROSSING)
+        self._late = _Judge(self._rough, _ROUGH_CLEARANCE, _PER_ROUGH_CROSSING)
         self._pairs = np.empty((0, 2), dtype=np.intp)
+        self._costs = np.empty(0)  # of each pair
 
     def run(self, passes: int, rng: np.random.Generator) -> None:
         """Try to free all leaves, at most so many times; `rng` decides the candidate poses."""
-        moved, between = np.arange(len(self._organs)), self._detector.between_plants
+        moved, idle = np.arange(len(self._organs)), 0
         for number in range(passes):
-            self._detect(moved, between_plants=between and number == 0)
+            self._detect(moved)
             if not len(self._pairs):
                 return
             before = self._organs.moves
             self._run_pass(number, rng.uniform(0.0, 2.0 * np.pi, len(self._organs)))
             moved = np.flatnonzero(self._organs.moved_at > before)
+            idle = 0 if len(moved) else idle + 1
+            if number > _LARGE_UNITS and idle == _IDLE:
+                return
 
-    def _detect(self, moved: IndexArray, *, between_plants: bool) -> None:
+    def _detect(self, moved: IndexArray) -> None:
         """Update the pairs of organs that cross after some have moved."""
         organs = self._organs
-        self._triangles.update()
+        self._fine.update()
+        self._rough.update()
         changed = np.zeros(len(organs), dtype=bool)
         changed[moved] = True
         leaves = self._examined[self._leafy[self._examined]]
@@ -99,17 +124,17 @@ class LeafSolver:
         row, column = organs.close_pairs(leaves[changed[leaves]], self._examined, CLEARANCE)
         one, two = leaves[changed[leaves]][row], self._examined[column]
         kept = _must_not_cross(organs, one, two)
-        if between_plants:
-            kept &= organs.plant[one] != organs.plant[two]
         one, two = one[kept], two[kept]
         # Each pair once, by the organ that comes first.
         key = np.unique(np.minimum(one, two) * len(organs) + np.maximum(one, two))
         one, two = key // len(organs), key % len(organs)
         distinct, entry = np.unique(one, return_inverse=True)
         still = np.tile(np.eye(3), (len(distinct), 1, 1)), np.zeros((len(distinct), 3))
-        crosses = self._triangles.count(distinct, *still, entry, two) > 0
-        unchanged = self._pairs[~changed[self._pairs].any(axis=1)]
-        self._pairs = np.concatenate([unchanged, np.stack([one, two], axis=1)[crosses]])
+        number = self._fine.count(distinct, *still, entry, two)
+        crosses = number > 0
+        unchanged = ~changed[self._pairs].any(axis=1)
+        self._pairs = np.concatenate([self._pairs[unchanged], np.stack([one, two], axis=1)[crosses]])
+        self._costs = np.concatenate([self._costs[unchanged], _pair_cost(number[crosses], _PER_CROSSING)])
 
     def _run_pass(self, number: int, phase: FloatArray) -> None:
         """Try some units once, and move those that gain."""
@@ -117,7 +142,7 @@ class LeafSolver:
         if not units:
             return
         poses = self._candidate_poses(units, _POSES[min(number, len(_POSES) - 1)], phase)
-        unit, pose, gain = self._best_poses(poses, self._crossing_cost(poses))
+        unit, pose, gain = self._best_poses(poses, self._crossing_cost(poses, number))
         if not len(unit):
             return
         clashes = self._clashes(poses, unit, pose)
@@ -163,31 +188,85 @@ class LeafSolver:
         steps = angles.shape[1]
         entry = np.repeat(np.arange(len(members)), steps)
         part = transforms.select((owner[entry], np.tile(np.arange(steps), len(members))))
-        boxes = self._triangles.boxes(members[entry], part.rotation, part.shift)
+        boxes = self._rough.boxes(members[entry], part.rotation, part.shift)
         return _Poses(units, angles, transforms, members, owner, part.rotation, part.shift, *boxes)
 
-    def _crossing_cost(self, poses: _Poses) -> FloatArray:
-        """`(u, k)` costs of what crosses in each pose."""
-        organs, members, owner, steps = self._organs, poses.members, poses.owner, poses.count
-        others = self._examined
-        low, high = swept_boxes(organs, members, owner, poses.transforms)
-        low, high = low - CLEARANCE, high + CLEARANCE
-        row, column = _overlapping_boxes(low, high, organs.low[others], organs.high[others])
-        other = others[column]
-        inside = np.zeros((len(poses.units), len(organs)), dtype=bool)
-        inside[owner, members] = True
-        kept = _must_not_cross(organs, members[row], other) & ~inside[owner[row], other]
-        entry = (row[kept, None] * steps + np.arange(steps)).ravel()
-        other = np.repeat(other[kept], steps)
-        near = boxes_overlap(poses.low[entry], poses.high[entry], organs.low[other], organs.high[other])
-        entry, other = entry[near], other[near]
-        moving = np.repeat(members, steps)
-        number = self._triangles.count(moving, poses.rotation, poses.shift, entry, other)
-        cost = np.zeros((len(poses.units), steps))
-        each = np.where(number > 0, 1.0 + _PER_CROSSING * number, 0.0)
-        np.add.at(cost, (owner[entry // steps], entry % steps), each)
+    def _crossing_cost(self, poses: _Poses, number: int) -> FloatArray:
+        """`(u, k)` costs of what crosses in each pose; infinite for those that are not examined.
+
+        Poses in which a unit still crosses what it crosses now are ruled out first. The others are compared
+        with all organs in the order of their effort, until one is free.
+        """
+        owner, steps = poses.owner, poses.count
+        inside = np.zeros((len(poses.units), len(self._organs)), dtype=bool)
+        inside[owner, poses.members] = True
+        current, crossed = self._present_crossings(inside)
         weights = np.array([unit.weights for unit in poses.units])[:, None]
-        return cost + _PER_DEGREE * weighted_effort(poses.angles, weights)
+        effort = _PER_DEGREE * weighted_effort(poses.angles, weights)
+        cost = effort.copy()
+        cost[:, 0] += current
+        limit = cost[:, :1] - _MIN_GAIN
+        entry, other = self._near_poses(poses, inside)
+        unit, step = owner[entry // steps], entry % steps
+
+        def examine(rows: IndexArray, judge: _Judge) -> None:
+            moving, place = np.unique(entry[rows], return_inverse=True)
+            crossing = judge.triangles.count(
+                poses.members[moving // steps],
+                poses.rotation[moving],
+                poses.shift[moving],
+                place,
+                other[rows],
+                judge.clearance,
+            )
+            np.add.at(cost, (unit[rows], step[rows]), _pair_cost(crossing, judge.per_crossing))
+
+        first = crossed[unit, other]
+        examine(np.flatnonzero(first), self._early if number < _LARGE_UNITS else self._exact)
+        waiting = np.flatnonzero(~first)
+        promising = cost < limit
+        promising[:, 0] = False
+        order = np.argsort(np.where(promising, cost, np.inf), axis=1, kind="stable")
+        rank = np.argsort(order, axis=1, kind="stable")
+        found, examined = np.zeros(len(cost), dtype=bool), ~promising
+        start = 0
+        while start < steps and len(waiting):
+            stop = 2 * start + 1
+            batch = promising & (rank >= start) & (rank < stop) & ~found[:, None]
+            rows = batch[unit[waiting], step[waiting]]
+            examine(waiting[rows], self._early if number < _LARGE_UNITS else self._late)
+            examined |= batch
+            found |= np.any(batch & (cost <= effort), axis=1)
+            waiting = waiting[~rows & ~found[unit[waiting]]]
+            start = stop
+        if not len(waiting):
+            examined |= ~found[:, None]
+        cost[~examined] = np.inf
+        return cost
+
+    def _present_crossings(self, inside: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """`(u,)` costs of what units cross now, and `(u, n)` these organs, from their own organs `(u, n)`."""
+        cost, crossed = np.zeros(len(inside)), np.zeros_like(inside)
+        for one, two in (self._pairs.T, self._pairs.T[::-1]):
+            unit, pair = np.nonzero(inside[:, one] & ~inside[:, two])
+            np.add.at(cost, unit, self._costs[pair])
+            crossed[unit, two[pair]] = True
+        return cost, crossed
+
+    def _near_poses(self, poses: _Poses, inside: NDArray[np.bool_]) -> tuple[IndexArray, IndexArray]:
+        """Members in new poses, as indices of their boxes, and other organs with overlapping boxes."""
+        organs, others = self._organs, self._examined
+        members, owner, steps = poses.members, poses.owner, poses.count
+        low, high = swept_boxes(organs, members, owner, poses.transforms)
+        row, column = _overlapping_boxes(
+            low - _LARGE_CLEARANCE, high + _LARGE_CLEARANCE, organs.low[others], organs.high[others]
+        )
+        other = others[column]
+        kept = _must_not_cross(organs, members[row], other) & ~inside[owner[row], other]
+        entry = (row[kept, None] * steps + np.arange(1, steps)).ravel()
+        other = np.repeat(other[kept], steps - 1)
+        near = boxes_overlap(poses.low[entry], poses.high[entry], organs.low[other], organs.high[other])
+        return entry[near], other[near]
 
     def _best_poses(self, poses: _Poses, cost: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
         """Units with a better pose that is not nearer to fruit, stems or the ground: unit, pose and gain."""
@@ -224,7 +303,7 @@ class LeafSolver:
         back = poses.rotation[entry[m]].swapaxes(1, 2)
         rotation = np.matmul(back, poses.rotation[entry[k]])
         shift = np.matmul(back, (poses.shift[entry[k]] - poses.shift[entry[m]])[:, :, None])[:, :, 0]
-        crosses = self._triangles.count(organ[k], rotation, shift, np.arange(len(k)), organ[m]) > 0
+        crosses = self._fine.count(organ[k], rotation, shift, np.arange(len(k)), organ[m]) > 0
         # Units of the same organs clash wherever they are: each was tried with the other at its old pose.
         same, also = np.nonzero(np.triu(_shared_organs([poses.units[row] for row in unit.tolist()]), 1))
         clashes: dict[int, list[int]] = {}
@@ -236,6 +315,11 @@ class LeafSolver:
             clashes.setdefault(first, []).append(second)
             clashes.setdefault(second, []).append(first)
         return clashes
+
+
+def _pair_cost(number: IndexArray, each: float) -> FloatArray:
+    """`(n,)` costs of pairs of organs of which so many triangles cross."""
+    return np.asarray(np.where(number > 0, 1.0 + each * number, 0.0))
 
 
 def _shared_organs(units: Sequence[MovableUnit]) -> NDArray[np.bool_]:

@@ -280,7 +280,8 @@ def resolve_contacts(
         mesh: one or more plants, z up, with the ground at z = 0.
         rng: for the candidate poses.
         between_plants: resolve only contacts between different plants (`Instance.plant`), taking those within
-            each plant as resolved; none of those gets worse.
+            each plant as resolved; none of those gets worse. Leaves that still cross others of their plant
+            are tried again.
         rounds: maximum number of attempts to resolve all that still touches.
 
     Raises:
