@@ -33,7 +33,7 @@ def surfaces(draw) -> Surface:
     surface = grey_surface("any", front, back, through, draw(iors), (draw(alphas), draw(alphas)))
     if draw(st.booleans()):
         wide = draw(alphas), draw(alphas)
-        residue = dict(residue_reflectance=draw(unit), residue_behind=draw(unit))
+        residue = {"residue_reflectance": draw(unit), "residue_behind": draw(unit)}
         surface = replace(surface, wide_roughness=wide, wide_share=draw(unit), **residue)
     if relief is None:
         return surface

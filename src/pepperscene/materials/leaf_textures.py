@@ -82,7 +82,7 @@ def vein_pattern(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.rand
     # veins are 1 mm wide at the midrib and 0.6 mm at their ends; half of that is where a ridge falls to 1/e.
     taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
     thick = 0.35 + 0.6 * (1.0 - grid.height) ** 0.7
-    thick = thick * np.exp(rng.normal(0.0, 0.2))
+    thick = thick * np.exp(rng.spawn(1)[0].normal(0.0, 0.2))
     paler = 0.57 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, thick)
     paler = np.maximum(paler, (0.08 + 0.17 * taper) * _ridge(veins.lateral_mm, 0.28 + 0.22 * taper))
     # Tissue near the larger veins is somewhat paler than that further away.
@@ -126,7 +126,7 @@ def residue_pattern(
     dries; mildew makes soft blotches. Each texture has its own shares of the three.
     """
     film = np.exp(
-        0.45 * _noise(grid, tile, RIPPLE_MM, rng)
+        0.35 * _noise(grid, tile, RIPPLE_MM, rng)
         + 0.45 * _noise(grid, tile, 3.5, rng)
         + 0.45 * _noise(grid, tile, 1.5, rng)
     )

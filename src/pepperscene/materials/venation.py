@@ -163,7 +163,7 @@ def grow_veins(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Ve
     width, length = grid.size_mm
     ripple = tile.noise[RIPPLE_MM]
     # Displace the veins by some tenths of a millimetre over a centimetre, and bend the midrib.
-    x = grid.x_mm + _midrib_bend(grid, rng) + np.float32(0.35) * ripple.crop(rng, grid.shape)
+    x = grid.x_mm + _midrib_bend(grid, rng.spawn(1)[0]) + np.float32(0.35) * ripple.crop(rng, grid.shape)
     y = grid.y_mm + np.float32(0.7) * ripple.crop(rng, grid.shape)
 
     # Solve for the origin of the vein through each point, as a fraction of the length of the layout's blade.

@@ -31,9 +31,9 @@ residue (Stokes 1862); o is the other side:
 
     R_s -> f_s r + (1 - f_s) (R_s + f_o r T^2 / (1 - r R_o))        T -> (1 - f_s) (1 - f_o) T
 
-The formulas above then hold as they are, with the primed openness: f_s is the same for all directions, so both
-are symmetric, and R + T stays at most 1: r T^2 / (1 - r R_o) <= T because 1 - R_o >= T, so that a place whose
-side s is bare sends out at most R_s + f_o T + (1 - f_o) T. With r = 1 a lossless sheet stays lossless.
+The formulas above then hold as they are, with the primed openness: f_s is the same for all directions, so
+both are symmetric, and R + T stays at most 1: r T^2 / (1 - r R_o) <= T because 1 - R_o >= T, so that a place
+whose side s is bare sends out at most R_s + f_o T + (1 - f_o) T. With r = 1 a lossless sheet stays lossless.
 
 A relief turns the shading frame only (Blinn 1978). Directions on different sides of it and of the smooth
 surface cannot be used: of the light of a matt body on a slope of angle t the fraction l = (1 - cos t) / 2.
