@@ -59,8 +59,9 @@ def two_lobes() -> tuple[Surface, ...]:
             wide_roughness=wide,
             wide_share=share,
             residue_reflectance=1.0,
+            residue_behind=behind,
         )
-        for ior, share in ((1.28, 0.7), (1.45, 0.5), (2.5, 0.1))
+        for ior, share, behind in ((1.28, 0.7, 0.0), (1.45, 0.5, 0.6), (2.5, 0.1, 1.0))
         for narrow, wide in pairs
         for t in TRANSMITTANCES
     )

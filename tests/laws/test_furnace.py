@@ -118,6 +118,20 @@ def test_residue_and_sheet_reflect_as_layers():
     assert albedo[2:] == pytest.approx(back, abs=0.0005)
 
 
+def test_residue_on_both_sides():
+    # As above, with residue on .4 of the front and, independently, on .2 of the back. By hand.
+    sheet = replace(
+        grey_surface("sheet", 0.5, 0.3, 0.2, 1.0, (0.3, 0.3)), residue_reflectance=0.45, residue_behind=0.5
+    )
+    cases = replace(Cases.over([sheet], (0.0,), (1.0, 0.3, -1.0, -0.3), seed=8), residue=0.4)
+    albedo, _ = integrate_cases(cases)
+    through = 0.6 * 0.8 * 0.2
+    front = 0.4 * 0.45 + 0.6 * (0.5 + 0.2 * 0.45 * 0.2**2 / (1.0 - 0.45 * 0.3)) + through
+    back = 0.2 * 0.45 + 0.8 * (0.3 + 0.4 * 0.45 * 0.2**2 / (1.0 - 0.45 * 0.5)) + through
+    assert albedo[:2] == pytest.approx(front, abs=0.0005)
+    assert albedo[2:] == pytest.approx(back, abs=0.0005)
+
+
 def test_residue_is_matt():
     # Cover f leaves (1 - f) of the gloss: a black body under gloss, and black residue.
     black = [

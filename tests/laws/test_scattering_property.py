@@ -33,7 +33,8 @@ def surfaces(draw) -> Surface:
     surface = grey_surface("any", front, back, through, draw(iors), (draw(alphas), draw(alphas)))
     if draw(st.booleans()):
         wide = draw(alphas), draw(alphas)
-        surface = replace(surface, wide_roughness=wide, wide_share=draw(unit), residue_reflectance=draw(unit))
+        residue = {"residue_reflectance": draw(unit), "residue_behind": draw(unit)}
+        surface = replace(surface, wide_roughness=wide, wide_share=draw(unit), **residue)
     if relief is None:
         return surface
     y, x = np.mgrid[0:16, 0:16] / 16.0 * 2.0 * np.pi

@@ -169,6 +169,7 @@ class Blade(OrganModel):
     residue: Fraction = _constant(0.0)  # mean cover of the upper side with dust, dried spray or mildew
     # Of the residue, equal at all wavelengths.
     residue_reflectance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.45
+    residue_behind: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # cover of the lower side over that above
     ageing: Fraction = _constant(0.0)  # 0 healthy, through yellow or dry rims and spots, to 1 dried up
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
     # Of residue, ageing, bites, tears, droop and hanging (minus the inclination) with the age of a leaf,

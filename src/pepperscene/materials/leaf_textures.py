@@ -19,7 +19,10 @@ from pepperscene.spectra.spectrum import FloatArray
 TEXTURES: Final = 8
 """Per surface: chosen. The renderer also mirrors them, so that sixteen leaves in a row can differ."""
 
-SIGMAS_MM: Final = (0.8, 1.5, 3.5, RIPPLE_MM)  # of the noise that all textures share
+BROAD_MM: Final = 18.0
+"""Standard deviation of the filter of what varies from one part of a blade to another."""
+
+SIGMAS_MM: Final = (0.8, 1.5, 3.5, RIPPLE_MM, BROAD_MM)  # of the noise that all textures share
 
 BULGE_MM: Final = 1.3
 """Mean height of the bulging cells above their corners, before these are rounded off; 0.6 to 1.2 mm above
@@ -79,6 +82,7 @@ def vein_pattern(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.rand
     # veins are 1 mm wide at the midrib and 0.6 mm at their ends; half of that is where a ridge falls to 1/e.
     taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
     thick = 0.35 + 0.6 * (1.0 - grid.height) ** 0.7
+    thick = thick * np.exp(rng.spawn(1)[0].normal(0.0, 0.2))
     paler = 0.57 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, thick)
     paler = np.maximum(paler, (0.08 + 0.17 * taper) * _ridge(veins.lateral_mm, 0.28 + 0.22 * taper))
     # Tissue near the larger veins is somewhat paler than that further away.
@@ -123,8 +127,8 @@ def residue_pattern(
     """
     film = np.exp(
         0.35 * _noise(grid, tile, RIPPLE_MM, rng)
-        + 0.35 * _noise(grid, tile, 3.5, rng)
-        + 0.35 * _noise(grid, tile, 1.5, rng)
+        + 0.45 * _noise(grid, tile, 3.5, rng)
+        + 0.45 * _noise(grid, tile, 1.5, rng)
     )
     film *= 1.0 + 0.6 * _ridge(veins.midrib_mm, 1.6) + 0.4 * _ridge(veins.lateral_mm, 1.2)
     film *= 1.0 + 0.3 * _ridge(veins.islet_mm, 0.8)
@@ -150,11 +154,12 @@ def ageing_order(
     Rims and spots are first, then tissue between the veins, then the veins. With organs of ageing 0.2, rims
     are yellow or dry over some 2 mm and with 0.3 over some 5 mm; each texture has more of rims or of spots.
     """
-    # Rims are uneven: broad in places and absent in others.
-    uneven = 0.7 * _noise(grid, tile, RIPPLE_MM, rng) + 0.3 * _noise(grid, tile, 3.5, rng)
+    # Rims are uneven, broad in places and absent in others, and broader towards the tip.
+    uneven = 0.9 * _noise(grid, tile, BROAD_MM, rng) + 0.6 * _noise(grid, tile, RIPPLE_MM, rng)
+    uneven += 0.3 * _noise(grid, tile, 3.5, rng) + 0.8 * (0.5 - grid.height)
     speed = 0.042 * np.exp(rng.normal(0.0, 0.35))
     # Half a millimetre to 1.5 mm is within the variation of outlines about their mean.
-    rim = speed * np.maximum(grid.edge_mm - 1.0, 0.0) * np.exp(uneven) * (1.15 - 0.3 * grid.height)
+    rim = speed * np.maximum(grid.edge_mm - 1.0, 0.0) * np.exp(uneven)
     order = np.minimum(rim, spots.crop(rng, grid.shape) + rng.uniform(-0.06, 0.2))
     between = 0.32 + 0.05 * _noise(grid, tile, RIPPLE_MM, rng) + 0.03 * _noise(grid, tile, 1.5, rng)
     between += 0.1 * _ridge(veins.lateral_mm, 2.2) + 0.025 * _ridge(veins.mesh_mm, 0.7)

@@ -46,7 +46,11 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
         made = dict(zip(first_kind, surfaces, strict=True))
     for name, kind in first_kind.items():
         if isinstance(blade := cultivar.organs.get(kind), Blade):
-            made[name] = replace(made[name], residue_reflectance=blade.residue_reflectance)
+            made[name] = replace(
+                made[name],
+                residue_reflectance=blade.residue_reflectance,
+                residue_behind=blade.residue_behind,
+            )
     return made
 
 

@@ -36,7 +36,8 @@ class Surface:
         wide_share: see `wide_roughness`.
         first_state: state of the first row of the tables, 0, or -1 for a surface that ages: below 0 the rows
             go on from state 0 to dry tissue at -1, evenly spaced over [-1, 1].
-        residue_reflectance: of dust or spray residue on the front, equal at all wavelengths.
+        residue_reflectance: of dust or spray residue, equal at all wavelengths.
+        residue_behind: cover of the back with residue over that of the front, in [0, 1].
         pattern: `(t, h, w)` offset added to the state over uv (row 0 is v = 0), for example veins, for each
             of t textures, or None.
         relief_mm: `(t, h, w)` height over uv along the normal, for shading only, or None; slopes follow from
@@ -58,6 +59,7 @@ class Surface:
     wide_share: float = 0.5
     first_state: float = 0.0
     residue_reflectance: float = 0.45
+    residue_behind: float = 0.0
     pattern: NDArray[np.float32] | None = None
     relief_mm: NDArray[np.float32] | None = None
     residue_pattern: NDArray[np.float32] | None = None
@@ -76,8 +78,11 @@ class Surface:
         alphas = (*self.roughness, *(self.wide_roughness or ()))
         if not (1 <= self.ior < np.inf and all(0 <= alpha < np.inf for alpha in alphas)):
             raise ValueError(f"{self.name}: ior must be at least 1 and roughness at least 0, both finite")
-        if not (0 <= self.wide_share <= 1 and 0 <= self.residue_reflectance <= 1):
-            raise ValueError(f"{self.name}: wide_share and residue_reflectance must be in [0, 1]")
+        fractions = (self.wide_share, self.residue_reflectance, self.residue_behind)
+        if not all(0 <= fraction <= 1 for fraction in fractions):
+            raise ValueError(
+                f"{self.name}: wide_share, residue_reflectance and residue_behind must be in [0, 1]"
+            )
         if self.first_state not in (0.0, -1.0):
             raise ValueError(f"{self.name}: first_state must be 0 or -1, not {self.first_state:g}")
         for name, images in self.textures.items():

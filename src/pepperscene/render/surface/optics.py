@@ -59,6 +59,7 @@ class Optics:
             u; residue; ageing.
         bodies: `(k * 4,)` row of a surface's first state, number of its states minus 1, rate of ageing
             (0 for a surface that does not age), reflectance of residue.
+        residue_behind: `(k,)` cover of the back with residue over that of the front.
         blurs: `(k * 2,)` 1 over the square of the narrowest lobe's roughness, and tables per logarithm: see
             `pepperscene.materials.gloss.blur_nodes`.
         sides: `(k * 2 * 4,)` for front and back: the cuticle's GGX alphas, share of the second, and index.
@@ -74,6 +75,7 @@ class Optics:
     spectra: Any
     organs: Any
     bodies: Any
+    residue_behind: Any
     blurs: Any
     sides: Any
     openness: Any
@@ -106,6 +108,7 @@ class Optics:
         states = np.array([len(block) for block in blocks])
         ageing = [_ageing_rate(surface) for surface in surfaces]
         residue = [surface.residue_reflectance for surface in surfaces]
+        behind = [surface.residue_behind for surface in surfaces]
         narrowest = np.array([narrowest_alpha(surface) for surface in surfaces])
         per_log = (BLUR_NODES - 1) / np.log1p(LARGEST_BLUR / narrowest**2)
         sides, openness = zip(*(cuticle_tables(surface) for surface in surfaces), strict=True)
@@ -115,6 +118,7 @@ class Optics:
             spectra=device_array(np.concatenate(blocks)),
             organs=device_array(organs),
             bodies=device_array(np.column_stack([np.cumsum(states) - states, states - 1, ageing, residue])),
+            residue_behind=device_array(behind),
             blurs=device_array(np.column_stack([narrowest**-2.0, per_log])),
             sides=device_array(np.stack(sides)),
             openness=device_array(np.stack(openness)),
@@ -167,6 +171,7 @@ class Optics:
         cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
         gloss = GlossLobes(cuticle.w, dr.square(cuticle.x) + blur, dr.square(cuticle.y) + blur, cuticle.z)
         cover = dr.clip(values.z * texel.residue, 0.0, _MOST_COVER)
+        cover_behind = cover * dr.gather(mi.Float, self.residue_behind, surface, active)
         table, weight = self._blurred_table(surface, blur, active)
         length = (BLUR_NODES - 1) * (TABLE_SIZE + 1)
         near, far = (
@@ -174,7 +179,7 @@ class Optics:
                 self.openness,
                 dr.select(active, number * length + table, 0),
                 weight,
-                dr.select(is_front, cover, 0.0),
+                dr.select(is_front, cover, cover_behind),
             )
             for number, is_front in ((side, in_front), (side ^ 1, ~in_front))
         )
@@ -187,10 +192,12 @@ class Optics:
         front, back, through = self._body(
             si.wavelengths, body, healthy - dr.minimum(aged, 1.0) * (1.0 + healthy), active
         )
-        beneath = through * through * body.w / dr.maximum(1.0 - body.w * front, 1e-6)
-        back += cover * beneath
-        front += cover * (body.w - front)
-        through *= 1.0 - cover
+        squared, least = through * through * body.w, 1e-6
+        front_backed = front + cover_behind * squared / dr.maximum(1.0 - body.w * back, least)
+        back_backed = back + cover * squared / dr.maximum(1.0 - body.w * front, least)
+        front = dr.lerp(front_backed, body.w, cover)
+        back = dr.lerp(back_backed, body.w, cover_behind)
+        through *= (1.0 - cover) * (1.0 - cover_behind)
         total = dr.select(in_front, front, back) + through
         transmitted = through * leaving
         if footprint is not None:

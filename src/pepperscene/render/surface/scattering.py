@@ -23,16 +23,17 @@ E_s is tabulated per surface and side (`pepperscene.materials.gloss`) and a_s is
 itself, so the body's part is exact; the gloss errs by the interpolation, below 4e-4 between cosines and, for
 a relief that is filtered, below 3e-3 between slope variances.
 
-Residue on the front, opaque, matt and of reflectance r, covers the fraction f of a place. There is no gloss
-on it: the front's becomes (1 - f) f_g with the albedo E' = (1 - f) E, so that its openness is
-A' = (1 - f) A + f and its mean a' = (1 - f) a + f. Light that enters meets body and residue in proportion to
-their areas, and what comes up through the sheet is reflected between body and residue (Stokes 1862):
+Residue, opaque, matt and of reflectance r, covers the fraction f_s of side s of a place, independently of the
+other side. There is no gloss on it: that of side s becomes (1 - f_s) f_g with the albedo E' = (1 - f_s) E, so
+that its openness is A' = (1 - f_s) A + f_s and its mean a' = (1 - f_s) a + f_s. Light that enters meets body
+and residue in proportion to their areas, and what comes through the sheet is reflected between body and
+residue (Stokes 1862); o is the other side:
 
-    R_front -> (1 - f) R_front + f r        T -> (1 - f) T        R_back -> R_back + f r T^2 / (1 - r R_front)
+    R_s -> f_s r + (1 - f_s) (R_s + f_o r T^2 / (1 - r R_o))        T -> (1 - f_s) (1 - f_o) T
 
-The formulas above then hold as they are, with the primed openness: f is the same for all directions, so both
-are symmetric, and R + T stays at most 1 on both sides: on the front it is a mean of R + T and r, and on the
-back r T^2 / (1 - r R_front) <= T because 1 - R_front >= T. With r = 1 a lossless sheet stays lossless.
+The formulas above then hold as they are, with the primed openness: f_s is the same for all directions, so
+both are symmetric, and R + T stays at most 1: r T^2 / (1 - r R_o) <= T because 1 - R_o >= T, so that a place
+whose side s is bare sends out at most R_s + f_o T + (1 - f_o) T. With r = 1 a lossless sheet stays lossless.
 
 A relief turns the shading frame only (Blinn 1978). Directions on different sides of it and of the smooth
 surface cannot be used: of the light of a matt body on a slope of angle t the fraction l = (1 - cos t) / 2.
