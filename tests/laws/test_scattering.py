@@ -91,7 +91,11 @@ def test_packed_spectra_equal_the_surfaces():
 
 
 def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
-    # Taking the nearest 1 nm entry changes no channel of any surface by more than 3e-4.
+    # Taking the nearest 1 nm entry changes no channel of any surface by more than 3e-4. The blue curve of the
+    # sensor under its flash changes by 6 % of its peak per nm at 440 nm, and leaves and fruit reflect little
+    # there: measured 2.6e-4 of
+    # a leaf's blue signal, which is 2.5e-6 of a white body's. With half the spacing it would be 5e-6 of the
+    # signal, with twice the table.
     camera = axis_camera()
     fine = np.arange(380.0, 690.0, 0.02)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)

@@ -29,7 +29,11 @@ _PER_TRIANGLE: Final = 185.0
 """Bytes per triangle of the scene as it is built: the mesh and its copies while it is assembled, and Embree's
 tree of what is left of it; measured 180 to 190 for 13 to 100 plants."""
 
-_WAVEFRONT: Final = 1 << 21
+_TEXTURES: Final = 135e6
+"""Bytes of the textures of a scene's surfaces where light is traced: 3.3 million texels of 2 to 4 values, the
+device's copy with 4, and a third of that for the filtered slopes, twice; measured 131 MB for `kaite`."""
+
+_WAVEFRONT: Final = 1 << 20
 """Samples that are traced at a time, at most: `_LANES` of `pepperscene.render.transport.trace`."""
 
 _PER_BOUNCE: Final = 30e6  # bytes of the code for one more scattering event, and of compiling it; measured
@@ -95,7 +99,7 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
     if any(OUTPUTS[name].traced for name in outputs):
         # The loop of longer paths has the code of one bounce.
         bounces = quality.bounces + (quality.most_bounces > 0)
-        total += _device_memory(camera, quality) + _PER_BOUNCE * (bounces - 1)
+        total += _TEXTURES + _device_memory(camera, quality) + _PER_BOUNCE * (bounces - 1)
         if quality.denoise:
             total += _denoiser_memory(camera.width, camera.height)
         # Half of the arrays have one entry for each channel of the sensor.

@@ -41,6 +41,13 @@ def assert_similar(result, expected, *, labels: float, pixels: float, mean: floa
     assert result["electrons"].mean((0, 1)) == pytest.approx(expected["electrons"].mean((0, 1)), rel=mean)
 
 
+def average_frame(scene, camera, seeds=range(4)):
+    """Classes of a frame, and the mean of its light over seeds."""
+    frames = [render(scene, camera, "standard", seed=seed) for seed in seeds]
+    light = np.mean([frame["electrons"] for frame in frames], axis=0, dtype=float)
+    return {"class": frames[0]["class"], "electrons": light}
+
+
 def test_frame_at_ten_kilometres_has_the_same_bits(plants):
     # The mesh is rounded there; moving it back rounds nothing.
     scene, camera, expected = plants
@@ -58,13 +65,14 @@ def test_frame_at_ten_kilometres_has_the_same_bits(plants):
 @pytest.mark.parametrize("offset", [(7.3, -3.1, 5.9), (1234.567, -987.654, 321.0), (9_999.1, 3.3, -20.0)])
 def test_position_off_the_grid_changes_only_the_ray_offset(plants, offset):
     # The kernel's origin is then up to 4 m away along each axis, and rays start up to 1.8e-4 (1 + 4.5) m =
-    # 1 mm off a surface instead of .3 mm: a little other light gets into creases, at each of the bounces of a
-    # path by daylight.
+    # 1 mm off a surface instead of .3 mm: a little more light gets into creases.
     scene, camera, _ = plants
     far, far_camera = moved(scene, camera, np.array(offset))
     near = replace(far, mesh=far.mesh.moved(np.eye(3), -np.array(offset)))
-    result, expected = render(far, far_camera, "standard"), render(near, camera, "standard")
-    assert_similar(result, expected, labels=0.002, pixels=0.03, mean=0.015)
+    # Some rays then take other paths, which is noise: the mean of a frame differs by -.3 %, with a standard
+    # deviation of .5 % over seeds. So the light is the mean of four.
+    result, expected = average_frame(far, far_camera), average_frame(near, camera)
+    assert_similar(result, expected, labels=0.002, pixels=0.03, mean=0.01)
 
 
 @pytest.mark.parametrize("factor", [2.0**-10, 2.0**-5])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.materials import Surface, cut_surface, leaf_body, rind_reflectance
-from pepperscene.render.surface.optics import MIN_ALPHA
+from pepperscene.render.surface.cuticle import MIN_ALPHA
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, PigmentPath

@@ -31,7 +31,9 @@ from pepperscene.render.transport.lights import FrameTables, frame_tables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
 
-_LANES: Final = 1 << 21  # chosen: wavefront of a pass; 25 results per sample take 210 MB
+_LANES: Final = 1 << 20
+"""Wavefront of a pass. Chosen: 25 results per sample take 105 MB; twice as many are no faster, and the first
+frame of `demo` then takes 130 MB more."""
 _REFINEMENT_ROUNDS: Final = 3  # chosen
 _ROULETTE: Final = (2.0, 0.25)
 """Chosen: a path survives with twice the fraction of light that it still carries, so that pale surfaces end
