@@ -2,7 +2,7 @@
 
     python docs/figures/realism.py [--quality draft]
 
-It renders four frames, and one in the infrared twice, which takes some minutes. Text between the markers of
+It renders six frames, and one in the infrared twice, which takes some minutes. Text between the markers of
 the page is replaced.
 """
 
@@ -54,6 +54,7 @@ class Pair:
         photo: name of the photograph.
         fruit_px: width of a whole fruit in it, measured by hand.
         leaf: column and row of a leaf at the distance of that fruit, likewise.
+        others: further frames that the measures are taken of.
     """
 
     recipe: str
@@ -61,11 +62,12 @@ class Pair:
     photo: str
     fruit_px: float
     leaf: tuple[int, int]
+    others: tuple[int, ...] = ()
 
 
 PAIRS: Final = (
     Pair("demo", 6137, "img9", 67.0, (283, 216)),
-    Pair("greenhouse", 0, "img8", 53.0, (497, 233)),
+    Pair("greenhouse", 0, "img8", 53.0, (497, 233), (4, 8)),
     Pair("randomised", 0, "img7", 41.0, (258, 140)),
     Pair("season", 60, "img10", 49.0, (252, 207)),
 )
@@ -81,7 +83,7 @@ class Render:
     """A rendered frame and the scale of its leaves.
 
     Attributes:
-        folder: of a data set that holds this frame.
+        folder: of a data set that holds this frame and the others of the pair.
         colour: `(h, w, 3)` sRGB.
         leaf: column and row of the middle of its largest leaf.
         pixel_mm: size of a pixel at that leaf.
@@ -94,13 +96,13 @@ class Render:
 
 
 def render(pair: Pair, folder: Path, quality: str) -> Render:
-    """Render the frame of a pair into a data set, and find its largest leaf."""
+    """Render the frames of a pair into a data set, and find the largest leaf of the first."""
     from scipy.ndimage import distance_transform_edt
 
     recipe = ps.load_recipe(pair.recipe)
     outputs = ["colour", "class", "instance", "distance"]
     options = ps.BuildOptions(quality)
-    ps.build(recipe, folder, frames=range(pair.frame, pair.frame + 1), outputs=outputs, options=options)
+    ps.build(recipe, folder, frames=[pair.frame, *pair.others], outputs=outputs, options=options)
     data = ps.open_dataset(folder)
     colour, classes, instances, distance = (data.image(pair.frame, name) for name in outputs)
     leaves = np.where(classes == OrganClass.LEAF, instances, 0)
