@@ -31,7 +31,8 @@ tree of what is left of it; measured 180 to 190 for 13 to 100 plants."""
 
 _TEXTURES: Final = 135e6
 """Bytes of the textures of a scene's surfaces where light is traced: 3.3 million texels of 2 to 4 values, the
-device's copy with 4, and a third of that for the filtered slopes, twice; measured 131 MB for `kaite`."""
+device's copy with 4, and a third of that for the filtered slopes, twice; 131 MB are the
+sum of these arrays for `kaite`, not a measured peak."""
 
 _WAVEFRONT: Final = 1 << 20
 """Samples that are traced at a time, at most: `_LANES` of `pepperscene.render.transport.trace`."""
