@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,11 @@ UNIT = {
     "truth",
 }  # fmt: skip
 """Folders whose tests neither render nor start processes."""
+
+
+def pytest_configure() -> None:
+    # With this variable, pytest shows the whole difference of unequal images, which takes hours.
+    os.environ.pop("CI", None)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
