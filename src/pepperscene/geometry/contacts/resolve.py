@@ -291,6 +291,8 @@ def resolve_contacts(
     for number in range(rounds):
         if not solver.run_round(number):
             break
-    solver.free_leaves(min(rounds, PASSES))
+    # Between plants, a single one has nothing to resolve: it stays the plant that is grown alone.
+    if not between_plants or len({item.plant for item in mesh.instances}) > 1:
+        solver.free_leaves(min(rounds, PASSES))
     counts = current_counts(solver.detector)
     return ResolvedMesh(solver.organs.current_mesh(), tuple(solver.motions), counts)
