@@ -480,7 +480,7 @@ def test_visibility_is_the_share_of_the_pixels_that_the_organ_has_alone(scene, s
     )
     renderer, rng, alone = Renderer(scene), np.random.default_rng(11), {}
     predicted, counted = [], []
-    for _ in range(25):
+    for _ in range(60):
         view = random_view(settings, scene, small_camera, rng, renderer.visible_points, space)
         index, posed = view.target_instance, small_camera.at_pose(view.pose)
         if index not in alone:
