@@ -53,7 +53,7 @@ def measured(group: str):
     else:
         surfaces = shipped() if group == "shipped with relief" else [plain(s) for s in shipped()]
         cases = Cases.over(surfaces, STATES, COSINES, seed=2)
-    return cases, *sample_cases(cases, 8, 4096, seed=3), *integrate_cases(cases)
+    return cases, *sample_cases(cases, 8, 16384, seed=3), *integrate_cases(cases)
 
 
 def worst(cases: Cases, excess: np.ndarray) -> str:

@@ -44,7 +44,7 @@ def test_duplicate_triangles_count_once(times):
     # Rays are offset from all of them at once: no light is lost between the copies of a translucent leaf.
     mesh = concatenate_meshes([card(0.01, 0.0, 0.02, 0.2, "front", 0.4), sheet(0.2, 0.2, 0.5, "back")])
     surfaces = {name: surface(name, 0.4, 0.5, 1.4) for name in mesh.surfaces}
-    names = ("faces", "face_instance", "face_surface")
+    names = ("faces", "face_instance", "face_surface", "face_appearance")
     repeated = replace(mesh, **{name: np.concatenate([getattr(mesh, name)] * times) for name in names})
     camera = axis_camera(24, 18)
     result, expected = (
