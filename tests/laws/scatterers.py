@@ -267,18 +267,20 @@ def _directions(wi: np.ndarray, alpha: float) -> tuple[np.ndarray, np.ndarray]:
         return half[:, 2] / (np.pi * alpha**2 * stretched**2) / (4.0 * np.maximum(half @ wi, 1e-9))
 
     # Diffuse directions: above the surface combined with the mirror's density, below it alone.
-    node, weight = np.polynomial.legendre.leggauss(40)
+    node, weight = np.polynomial.legendre.leggauss(56)
     theta, phi = np.meshgrid(
-        (node + 1.0) * np.pi / 4.0, (np.arange(48) + 0.5) / 48 * 2 * np.pi, indexing="ij"
+        (node + 1.0) * np.pi / 4.0, (np.arange(80) + 0.5) / 80 * 2 * np.pi, indexing="ij"
     )
-    solid_angle = (np.pi / 4.0 * weight * np.sin(theta[:, 0]) * 2.0 * np.pi / 48).repeat(48)
+    solid_angle = (np.pi / 4.0 * weight * np.sin(theta[:, 0]) * 2.0 * np.pi / 80).repeat(80)
     theta, phi = theta.ravel(), phi.ravel()
     above = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
     lambert = above[:, 2] / np.pi
     by_area = solid_angle * lambert / (lambert + mirror_density(above))
 
     # Mirrored directions; those below the horizon have no weight.
-    area, psi = np.meshgrid((np.arange(80) + 0.5) / 80, (np.arange(64) + 0.5) / 64 * 2 * np.pi, indexing="ij")
+    area, psi = np.meshgrid(
+        (np.arange(120) + 0.5) / 120, (np.arange(96) + 0.5) / 96 * 2 * np.pi, indexing="ij"
+    )
     area, psi = area.ravel(), psi.ravel()
     weight_of_normal = 3.0 * area**2 / area.size  # finer in the tail, where gloss and body are similar
     slope = alpha * np.sqrt(1.0 / area**3 - 1.0)
