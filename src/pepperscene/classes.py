@@ -46,7 +46,7 @@ IGNORE_COLOUR: Final[tuple[int, int, int]] = (128, 128, 128)
 
 @dataclass(frozen=True)
 class Appearance:
-    """What tells an organ from others with the same surface; it does not depend on labels.
+    """How one organ looks different from others with the same surface, whatever their labels are.
 
     Attributes:
         residue: mean fraction of its upper side that dust or spray residue covers, in [0, 1].
