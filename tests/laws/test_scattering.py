@@ -10,7 +10,7 @@ from bodies import axis_camera
 from scatterers import Cases, interaction, lossless, plain, shipped, two_lobes
 
 from pepperscene.materials import Surface
-from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.optics import STEP_NM, Optics
 from pepperscene.render.variant import mitsuba_modules
 
 PAIRS = 1 << 16
@@ -75,7 +75,7 @@ def test_scattering_is_reciprocal(relief, footprint_m2):
 
 
 def test_packed_spectra_equal_the_surfaces():
-    # The kernel's nearest 1 nm entry against linear interpolation of the surface.
+    # The kernel's nearest entry against linear interpolation of the surface.
     nm = np.arange(380.0, 781.0, 5.0)
     curve = 0.3 + 0.2 * np.sin(nm / 40.0)
     states = np.linspace(0.5, 1.0, 5)[:, None]
@@ -91,11 +91,8 @@ def test_packed_spectra_equal_the_surfaces():
 
 
 def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
-    # Taking the nearest 1 nm entry changes no channel of any surface by more than 3e-4. The blue curve of the
-    # sensor under its flash changes by 6 % of its peak per nm at 440 nm, and leaves and fruit reflect little
-    # there: measured 2.6e-4 of
-    # a leaf's blue signal, which is 2.5e-6 of a white body's. With half the spacing it would be 5e-6 of the
-    # signal, with twice the table.
+    # Taking the nearest entry changes no channel of any surface by more than 2e-5. With entries 1 nm apart it
+    # is 2.6e-4: the flash's blue light changes by 6 % of its peak per nm at 440 nm.
     camera = axis_camera()
     fine = np.arange(380.0, 690.0, 0.02)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)
@@ -104,8 +101,8 @@ def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
         rows = np.concatenate([surface.reflectance.reshape(-1, nm.size), surface.transmittance])
         for row in rows[rows.any(axis=1)]:
             exact = weight @ np.interp(fine, nm, row)
-            nearest = weight @ np.interp(np.floor(fine + 0.5), nm, row)
-            assert nearest == pytest.approx(exact, rel=3e-4)
+            nearest = weight @ np.interp(STEP_NM * np.floor(fine / STEP_NM + 0.5), nm, row)
+            assert nearest == pytest.approx(exact, rel=2e-5)
 
 
 def test_patterns_are_periodic_around_a_tube():

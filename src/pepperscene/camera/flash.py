@@ -288,7 +288,7 @@ def _read_spectrum(path: Path, document: FlashDocument) -> Spectrum:
         raise InputError(path, allowed, key="spectrum.column", value=column)
     if not spectrum.values.max() >= LEAST_PEAK:
         raise InputError(path, "must contain some light", key="spectrum.column", value=column)
-    # Light is traced at whole nanometres, so a narrower line would be missed.
+    # Light is traced on a grid of half nanometres: a line between whole ones could be missed.
     first, last = spectrum.range_nm
     if not spectrum.at(np.arange(math.ceil(first), last + 0.5)).max(initial=0.0) >= LEAST_PEAK:
         allowed = "must contain light at a whole number of nanometres"

@@ -132,7 +132,7 @@ def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
     sensitive = np.flatnonzero((efficiency.values > 0).any(axis=0))
     if not efficiency.values.max() >= _LEAST_EFFICIENCY:
         raise ValueError("is not sensitive at any wavelength")
-    # Light is traced at whole nanometres, so a narrower line would be missed.
+    # Light is traced on a grid of half nanometres: a line between whole ones could be missed.
     whole_nm = np.arange(np.ceil(efficiency.wavelength_nm[0]), efficiency.wavelength_nm[-1] + 0.5)
     if not efficiency.at(whole_nm).max(initial=0.0) >= _LEAST_EFFICIENCY:
         raise ValueError("is not sensitive at any whole number of nanometres")
