@@ -44,19 +44,20 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> Array:
             below 0 count as 0.
         camera: lens and sensor.
     """
-    image = np.maximum(np.asarray(electrons, dtype=float), 0.0)
+    image = np.asarray(electrons, dtype=float)
     stray, sensor = camera.lens.stray_light, camera.sensor
     size = image.shape[0], image.shape[1]
     wavelength_m = _mean_wavelength_m(sensor)
     transfer = _transfer(stray, camera.lens.f_number, sensor.pixel_pitch_m, wavelength_m, size)
     result = np.empty_like(image)
     for channel in range(image.shape[-1]):
-        plane = np.ascontiguousarray(image[..., channel])
-        spread = np.maximum(_multiply_frequencies(plane, transfer), 0.0)
+        plane = np.maximum(image[..., channel], 0.0)
+        spread = _multiply_frequencies(plane, transfer)
+        np.maximum(spread, 0.0, out=spread)
         if stray.ghosts:
             spread += _ghosts(plane, camera)
         # All remaining light is spread evenly: the veil, and what leaves the image.
-        result[..., channel] = spread + (plane.sum() - spread.sum()) / plane.size
+        np.add(spread, (plane.sum() - spread.sum()) / plane.size, out=result[..., channel])
     return result
 
 
@@ -76,7 +77,9 @@ def _transfer(
 def _multiply_frequencies(plane: Array, transfer: Array) -> Array:
     from scipy.fft import dctn, idctn
 
-    return np.asarray(idctn(dctn(plane, type=2) * transfer, type=2, overwrite_x=True))
+    frequencies = dctn(plane, type=2)
+    frequencies *= transfer
+    return np.asarray(idctn(frequencies, type=2, overwrite_x=True))
 
 
 def point_spread(
@@ -168,7 +171,8 @@ def _ghosts(plane: Array, camera: Camera) -> Array:
     density = total / (np.diff(rows)[:, None] * np.diff(columns))
     fine = _interpolate(_interpolate(density, rows, 0), columns, 1)
     # Interpolation keeps the sum only approximately.
-    return np.asarray(fine * (total.sum() / max(fine.sum(), np.finfo(float).tiny)))
+    fine *= total.sum() / max(fine.sum(), np.finfo(float).tiny)
+    return fine
 
 
 def _scaled_cells(edges: NDArray[np.intp], centre: float, scale: float) -> Array:
@@ -184,9 +188,11 @@ def _interpolate(cells: Array, edges: NDArray[np.intp], axis: int) -> Array:
     centres = (edges[:-1] + edges[1:]) / 2.0
     place = np.interp(np.arange(edges[-1]) + 0.5, centres, np.arange(len(centres)))
     lower = np.minimum(place.astype(np.intp), max(len(centres) - 2, 0))
-    upper = np.minimum(lower + 1, len(centres) - 1)
     weight = (place - lower)[:, None] if axis == 0 else place - lower
-    return np.asarray(cells.take(lower, axis) * (1.0 - weight) + cells.take(upper, axis) * weight)
+    values = np.diff(cells, axis=axis, append=cells.take([-1], axis)).take(lower, axis)
+    values *= weight
+    values += cells.take(lower, axis)
+    return values
 
 
 def _disc(radius: float) -> Array:

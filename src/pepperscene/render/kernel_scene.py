@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Motion
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
-from pepperscene.render.kernel.camera import CameraRays, camera_rays, moving_rays, spectral_response
+from pepperscene.render.kernel.camera import (
+    CameraRays,
+    SpectralResponse,
+    camera_rays,
+    moving_rays,
+    spectral_response,
+)
 from pepperscene.render.kernel.scene import LightScene, check_surfaces, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality
 from pepperscene.render.reference.exposure import exposed_paths
@@ -19,7 +25,7 @@ from pepperscene.render.reference.path_tracer import PathScene, path_scene, path
 from pepperscene.render.transport.adaptive import AdaptiveSampler
 from pepperscene.render.transport.denoise import denoised
 from pepperscene.render.transport.exposure import ExposurePart, exposure_parts, in_rows, sum_of_parts
-from pepperscene.render.transport.path_lengths import needs_long_paths
+from pepperscene.render.transport.path_lengths import needs_long_paths, surface_triangles
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Scene, Sky
 
@@ -50,19 +56,21 @@ class KernelScene:
             ValueError: the scene has no surfaces.
         """
         check_surfaces(scene)
-        if not needs_long_paths(scene, spectral_response(camera, scene)):
+        response = spectral_response(camera, scene)
+        if not needs_long_paths(scene, response, self._surface_triangles):
             quality = dataclasses.replace(quality, most_bounces=0)
         if parts := exposure_parts(camera, has_daylight=scene.sky is not None):
             if quality.integrator == "path":
                 return self._expose_paths(camera, quality, sampling, scene)
-            return self._expose(camera, quality, parts, sampling, scene)
+            return self._expose(camera, quality, parts, response, sampling, scene)
         seed = int(sampling.generate_state(1)[0])
         trace_with = self._trace_paths if quality.integrator == "path" else self._trace_flash
-        return trace_with(camera, quality, seed, scene)
+        return trace_with(camera, quality, response, seed, scene)
 
-    def _trace_flash(self, camera: Camera, quality: Quality, seed: int, scene: Scene) -> TracedSignal:
+    def _trace_flash(
+        self, camera: Camera, quality: Quality, response: SpectralResponse, seed: int, scene: Scene
+    ) -> TracedSignal:
         """Trace light with our integrator."""
-        response = spectral_response(camera, scene)
         adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
         light = trace(
             self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
@@ -81,11 +89,11 @@ class KernelScene:
         camera: Camera,
         quality: Quality,
         parts: list[ExposurePart],
+        response: SpectralResponse,
         sampling: np.random.SeedSequence,
         scene: Scene,
     ) -> TracedSignal:
         """Trace the parts of an exposure with our integrator, each with samples and a denoiser of its own."""
-        response = spectral_response(camera, scene)
         light_scene = self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
         rays, lights = self.rays(camera), []
         # The variances of the parts add up to that of the whole.
@@ -116,9 +124,11 @@ class KernelScene:
         signal, samples = exposed_paths(scene, camera, quality, sampling)
         return signal, {"samples_per_pixel": samples}
 
-    def _trace_paths(self, camera: Camera, quality: Quality, seed: int, scene: Scene) -> TracedSignal:
+    def _trace_paths(
+        self, camera: Camera, quality: Quality, response: SpectralResponse, seed: int, scene: Scene
+    ) -> TracedSignal:
         """Trace light with Mitsuba's path tracer."""
-        grid = spectral_response(camera, scene).grid_nm
+        grid = response.grid_nm
         # Here the sky is part of the kernel scene.
         key = (float(grid[0]), float(grid[-1]), camera.flash is not None, scene.sky)
         if key not in self._path:
@@ -145,6 +155,10 @@ class KernelScene:
     def coordinates(self) -> LocalCoordinates:
         """Of the scene in the kernel."""
         return local_coordinates(self.scene.mesh)
+
+    @functools.cached_property
+    def _surface_triangles(self) -> NDArray[np.int64]:
+        return surface_triangles(self.scene)
 
     @functools.cached_property
     def _geometry(self) -> Any:
