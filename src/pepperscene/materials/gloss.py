@@ -30,7 +30,8 @@ TABLE_SCALE: Final = 1e-3
 the albedo falls over cosines of about alpha."""
 
 _CAP_STEPS: Final = (48, 32)
-"""Quadrature over visible normals, polar and azimuth: within 1e-4 of five times as many steps each way."""
+"""Quadrature over visible normals, polar and azimuth: within 1.4e-4 of five times as many steps each way for
+indices up to 1.6, and 2e-4 up to 2.5, for every alpha from 0.001 on. Chosen: less than the interpolation."""
 
 
 def fresnel(cosine: ArrayLike, ior: float) -> FloatArray:
@@ -124,7 +125,8 @@ LARGEST_BLUR: Final = 0.36
 a root mean square of 23 degrees for each axis, above that of any relief that is shipped."""
 
 _BLUR_STEPS: Final = (24, 16)
-"""Steps of the quadrature for filtered reliefs: chosen; they widen the lobe, and within 1e-3 are exact."""
+"""Steps of the quadrature for filtered reliefs: chosen; the error is below 6e-4 for indices up to 1.6
+and every alpha."""
 
 
 def blur_nodes(narrowest: float) -> FloatArray:
