@@ -158,6 +158,10 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
     "probabilities that do not sum to 1": (
         f"{LEAF}.what", {"petiole": 0.9, "none": 0.2, "chosen": "x"}, "sum to 1.1"
     ),
+    "shares of residue that do not sum to 1": (
+        "organs.lamina.residue_shares", {"dust": 0.5, "spray": 0.1, "mildew": 0.1}, "sum to 0.7"
+    ),
+    "an unknown kind of residue": ("organs.lamina.residue_shares", {"soot": 1.0}, "soot"),
     "a kind that is not there": (f"{LEAF}.what", {"petiol": 1, "none": 0, "chosen": "x"}, "of the organs"),
     "a stem on a node": (f"{LEAF}.what", {"internode": 1, "chosen": "x"}, "only the stem"),
     "thirteen": ("organs.side_shoot.bears.0.count", {"thirteen": 1, "chosen": "x"}, "one of one, two"),

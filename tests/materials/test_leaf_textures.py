@@ -23,6 +23,12 @@ def textures(grid):
 
 
 @pytest.fixture(scope="module")
+def patches(grid):
+    """Textures of leaves with spray and mildew, without dust."""
+    return leaf_textures(grid, np.random.default_rng(1), residue_shares=(0.0, 0.3, 0.7))
+
+
+@pytest.fixture(scope="module")
 def inside(grid):
     """`(h, w)` mask of the blade."""
     return grid.edge_mm > 0
@@ -124,19 +130,22 @@ def test_pattern_keeps_the_state_of_the_blade(textures, inside):
     assert np.mean(np.abs(textures.pattern[:, inside]) < 0.25) > 0.95
 
 
-def test_residue_has_mean_one_in_patches(textures, inside, grid):
-    for residue in textures.residue_pattern:
+def test_residue_has_mean_one_evenly_or_in_patches(textures, patches, inside):
+    for residue in (*textures.residue_pattern, *patches.residue_pattern):
         assert residue.min() >= 0
         assert residue[inside].mean() == pytest.approx(1, abs=1e-4)
+    for residue in textures.residue_pattern:  # dust
+        assert 0.3 < residue[inside].std() < 0.6
+    for residue in patches.residue_pattern:
         # Uneven, but few places have so much that a mean cover of 10 % fills them.
         assert 0.6 < residue[inside].std() < 3
         assert np.mean(residue[inside] > 9.5) < 0.02
 
 
-def test_residue_has_patches_of_two_to_twenty_millimetres(textures, grid, inside):
+def test_spray_and_mildew_have_patches_of_two_to_twenty_millimetres(patches, grid, inside):
     """Distance at which the autocorrelation of the cover has fallen to 1/e, twice: a patch's diameter."""
     sizes = []
-    for residue in textures.residue_pattern:
+    for residue in patches.residue_pattern:
         field = np.where(inside, np.minimum(residue, 5.0) - np.minimum(residue, 5.0)[inside].mean(), 0.0)
         spectrum = np.abs(np.fft.rfft2(field, (1024, 1024))) ** 2
         area = np.abs(np.fft.rfft2(inside.astype(float), (1024, 1024))) ** 2
@@ -145,8 +154,16 @@ def test_residue_has_patches_of_two_to_twenty_millimetres(textures, grid, inside
     assert 2 < min(sizes) <= max(sizes) < 20
 
 
-def test_more_residue_lies_in_the_midrib_and_at_the_tip(textures, grid, inside):
+def test_more_dust_lies_in_the_midrib(textures, grid, inside):
     mean = textures.residue_pattern.mean(axis=0)
+    midrib = inside & (np.abs(grid.x_mm) < 1) & (grid.height < 0.8)
+    between = inside & (np.abs(grid.x_mm) > 10) & (grid.height < 0.8)
+    assert mean[midrib].mean() > 1.2 * mean[between].mean()
+
+
+def test_more_spray_dries_in_the_midrib_and_at_the_tip(grid, inside):
+    spray = leaf_textures(grid, np.random.default_rng(1), residue_shares=(0.0, 1.0, 0.0))
+    mean = spray.residue_pattern.mean(axis=0)
     midrib = inside & (np.abs(grid.x_mm) < 1) & (grid.height < 0.8)
     tip = inside & (grid.height > 0.94)
     between = inside & (np.abs(grid.x_mm) > 10) & (grid.height < 0.8)

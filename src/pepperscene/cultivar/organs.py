@@ -6,6 +6,7 @@ horizontal, in the vertical plane of the organ. Parameters that a file leaves ou
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,18 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar.distribution import Distribution
-from pepperscene.cultivar.notation import Amount, Angle, Factor, Fraction, Lobes, Number, Ratio, Size, Width
+from pepperscene.cultivar.notation import (
+    SUM_TOLERANCE,
+    Amount,
+    Angle,
+    Factor,
+    Fraction,
+    Lobes,
+    Number,
+    Ratio,
+    Size,
+    Width,
+)
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
 
@@ -137,6 +149,26 @@ class Peduncle(OrganModel):
     state: Fraction = _constant(0.6)
 
 
+class ResidueShares(Document):
+    """Mean shares of what covers leaves, of sum 1. Chosen defaults: dust, with a few drops on most leaves."""
+
+    dust: Annotated[float, Field(ge=0.0, le=1.0)] = 0.86  # an even film
+    spray: Annotated[float, Field(ge=0.0, le=1.0)] = 0.13  # dried drops with rims
+    mildew: Annotated[float, Field(ge=0.0, le=1.0)] = 0.01  # soft patches
+
+    @model_validator(mode="after")
+    def _check_sum(self) -> Self:
+        total = math.fsum(self.values)
+        if abs(total - 1.0) > SUM_TOLERANCE:
+            raise ValueError(f"dust, spray and mildew sum to {total:g} and must sum to 1")
+        return self
+
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """Dust, spray and mildew."""
+        return self.dust, self.spray, self.mildew
+
+
 class Blade(OrganModel):
     """Blade of a leaf or a leaflet."""
 
@@ -170,6 +202,7 @@ class Blade(OrganModel):
     # Of the residue, equal at all wavelengths.
     residue_reflectance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.45
     residue_behind: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # cover of the lower side over that above
+    residue_shares: ResidueShares = ResidueShares()  # what it consists of
     ageing: Fraction = _constant(0.0)  # 0 healthy, through yellow or dry rims and spots, to 1 dried up
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
     # Of residue, ageing, bites, tears, droop and hanging (minus the inclination) with the age of a leaf,

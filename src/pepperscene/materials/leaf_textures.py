@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pepperscene.materials.patterns import Float32Array, PeriodicField, stamp_discs
 from pepperscene.materials.venation import ISLET_MM, RIPPLE_MM, BladeGrid, FieldTile, Venation, grow_veins
@@ -32,6 +33,8 @@ BULGE_RADIUS_MM: Final = 5.8  # from the centre of a cell to its corners
 LAST_ORDER: Final = 0.75
 """Greatest order of ageing, so that an organ of ageing 1 is dry everywhere (`surface.AGEING_RANGE`)."""
 
+_SHARE_PRECISION: Final = 9.0  # of the Dirichlet distribution of the shares of dust, spray and mildew
+_SMALLEST_SHARE: Final = 1e-3  # instead of 0, which that distribution excludes
 _DROPS_PER_CM2, _DROP_MM = 2.5, (0.5, 2.0)  # number and radii of dried spray drops
 _SPOTS_PER_CM2, _SPOT_MM = 0.8, (1.0, 3.0)  # of spots that age first; radius where they are yellow
 
@@ -46,13 +49,19 @@ class LeafTextures:
     ageing_order: Float32Array
 
 
-def leaf_textures(grid: BladeGrid, rng: np.random.Generator, count: int = TEXTURES) -> LeafTextures:
+def leaf_textures(
+    grid: BladeGrid,
+    rng: np.random.Generator,
+    count: int = TEXTURES,
+    residue_shares: ArrayLike = (1.0, 0.0, 0.0),
+) -> LeafTextures:
     """Draw the textures of a leaf surface.
 
     Args:
         grid: pixels over the mean blade.
         rng: draws everything.
         count: number t of textures.
+        residue_shares: mean shares of dust, dried spray and mildew in the residue; dust alone by default.
     """
     tile = FieldTile.build(grid, SIGMAS_MM, rng)
     drops, spots = _spray_drops(grid, tile, rng), _spots(grid, tile, rng)
@@ -62,7 +71,7 @@ def leaf_textures(grid: BladeGrid, rng: np.random.Generator, count: int = TEXTUR
         return (
             vein_pattern(veins, grid, tile, part),
             vein_relief(veins, grid, tile, part),
-            residue_pattern(veins, grid, tile, drops, part),
+            residue_pattern(veins, grid, tile, drops, residue_shares, part),
             ageing_order(veins, grid, tile, spots, part),
         )
 
@@ -118,17 +127,24 @@ def vein_relief(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.rando
 
 
 def residue_pattern(
-    veins: Venation, grid: BladeGrid, tile: FieldTile, drops: PeriodicField, rng: np.random.Generator
+    veins: Venation,
+    grid: BladeGrid,
+    tile: FieldTile,
+    drops: PeriodicField,
+    shares: ArrayLike,
+    rng: np.random.Generator,
 ) -> Float32Array:
     """Factor of an organ's residue over uv, of mean 1 over the blade.
 
-    Dust makes a film, more in furrows; spray leaves dried drops with rims, and runs to the tip before it
-    dries; mildew makes soft blotches. Each texture has its own shares of the three.
+    Dust makes an even film, more in furrows; spray leaves dried drops with rims, and runs to the tip before
+    it dries; mildew makes soft blotches. The shares of the three vary about their means.
     """
+    # Fine and weak: at half a metre, dust is seen as greyness, not as spots.
     film = np.exp(
-        0.35 * _noise(grid, tile, RIPPLE_MM, rng)
-        + 0.45 * _noise(grid, tile, 3.5, rng)
-        + 0.45 * _noise(grid, tile, 1.5, rng)
+        0.30 * _noise(grid, tile, BROAD_MM, rng)
+        + 0.12 * _noise(grid, tile, 3.5, rng)
+        + 0.18 * _noise(grid, tile, 1.5, rng)
+        + 0.22 * _noise(grid, tile, 0.8, rng)
     )
     film *= 1.0 + 0.6 * _ridge(veins.midrib_mm, 1.6) + 0.4 * _ridge(veins.lateral_mm, 1.2)
     film *= 1.0 + 0.3 * _ridge(veins.islet_mm, 0.8)
@@ -136,13 +152,12 @@ def residue_pattern(
     # Pools at the tip, within its last centimetre, and along the midrib.
     pools = 0.15 * _ridge(veins.midrib_mm, 2.0) + 0.5 * np.exp((grid.y_mm - grid.size_mm[1]) / 6.0)
     wet += pools * np.exp(0.7 * _noise(grid, tile, 3.5, rng))
-    spread = _noise(grid, tile, RIPPLE_MM, rng) + 0.6 * _noise(grid, tile, 3.5, rng)
+    spread = 0.85 * _noise(grid, tile, RIPPLE_MM, rng) + 0.8 * _noise(grid, tile, 3.5, rng)
     blotch = np.exp(0.4 * _noise(grid, tile, 0.8, rng)) / (1.0 + np.exp(4.0 * (1.1 - spread)))
     inside = grid.edge_mm > 0.0
-    # Chosen: dust is more than half of it on most leaves, mildew a tenth.
-    shares = rng.dirichlet((5.0, 2.5, 0.8))
+    drawn = rng.dirichlet(_SHARE_PRECISION * np.maximum(shares, _SMALLEST_SHARE))
     parts = (
-        share / part[inside].mean() * part for share, part in zip(shares, (film, wet, blotch), strict=True)
+        share / part[inside].mean() * part for share, part in zip(drawn, (film, wet, blotch), strict=True)
     )
     return np.asarray(sum(parts), dtype=np.float32)
 

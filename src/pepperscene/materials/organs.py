@@ -64,10 +64,11 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
         stem = cultivar.kinds[cultivar.stem.node].surface
         return cut_surface(cultivar.pigments[stem], nm, rng)
     path, size_mm = cultivar.pigments[name], _size_mm(cultivar, kind, form)
-    if form == "blade":
-        outline = cultivar.organs[kind].distributions
+    blade = cultivar.organs.get(kind)
+    if isinstance(blade, Blade):
+        outline = blade.distributions
         grid = BladeGrid.build(size_mm, outline["widest"].mean, outline["base"].mean)
-        textures = leaf_textures(grid, rng)
+        textures = leaf_textures(grid, rng, residue_shares=blade.residue_shares.values)
         return replace(
             leaf_surface(name, path, nm),
             pattern=textures.pattern,
