@@ -9,6 +9,7 @@ from contact_meshes import RADIUS, grown, resolved, scene, shifted
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import concatenate_meshes, count_contacts, rectangle, sphere
 from pepperscene.geometry.contacts.detect import ContactDetector, current_counts
+from pepperscene.geometry.contacts.joints import rotations
 from pepperscene.geometry.contacts.organs import Organs
 from pepperscene.geometry.contacts.patches import SPACING, fill_triangles
 from pepperscene.geometry.contacts.shapes import FruitSurfaces, StemCapsules
@@ -109,6 +110,36 @@ def test_boxes_that_overlap_are_all_found() -> None:
     )
 
 
+def test_organs_moved_together_are_where_they_are_moved_alone() -> None:
+    organs, rng = Organs(grown()[1]), np.random.default_rng(0)
+    chosen = organs.of_class(int(OrganClass.LEAF), int(OrganClass.PEPPER))[::3]
+    first = chosen[::2]
+    # Some have sample points before they move, the others get them later.
+    organs.sample(first)
+    expected = {organ: organs.original_vertices(organ).astype(float) for organ in chosen.tolist()}
+    for group in (chosen, first):
+        axis = rng.normal(size=(len(group), 3))
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        rotation = rotations(axis, rng.uniform(0.0, 1.0, (len(group), 1)))[:, 0]
+        shift = rng.uniform(-0.1, 0.1, (len(group), 3))
+        organs.move(group, rotation, shift)
+        for row, organ in enumerate(group.tolist()):
+            expected[organ] = expected[organ] @ rotation[row].T + shift[row]
+    assert np.array_equal(np.flatnonzero(organs.moved_at), chosen)
+    mesh = organs.current_mesh()
+    for organ, points in expected.items():
+        np.testing.assert_allclose(organs.low[organ], points.min(axis=0), atol=1e-6)
+        np.testing.assert_allclose(organs.high[organ], points.max(axis=0), atol=1e-6)
+        np.testing.assert_allclose(mesh.vertices[organs.vertex_rows(organ)], points, atol=1e-6)
+        # Every vertex is a sample point.
+        patches, patch, _ = organs.patches(np.array([organ]))
+        sampled = patches.points[patch].reshape(-1, 3)
+        distance = np.linalg.norm(points[::20, None] - sampled, axis=2)
+        assert distance.min(axis=1).max() < 1e-6
+        radius = np.linalg.norm(patches.points[patch] - patches.centre[patch][:, None], axis=2)
+        assert np.all(radius <= patches.radius[patch][:, None] + 1e-6)
+
+
 def test_patches_hold_all_sample_points() -> None:
     organs = Organs(grown()[1])
     for organ in organs.of_class(int(OrganClass.LEAF), int(OrganClass.PEPPER))[::9]:
@@ -172,5 +203,7 @@ def test_contacts_after_motions_are_those_of_the_moved_mesh() -> None:
     current_counts(detector)
     for motion in expected.motions:
         shift = motion.pivot - motion.rotation @ motion.pivot
-        detector.organs.move(detector.organs.subtree(motion.instance), motion.rotation, shift)
+        moved = np.array(detector.organs.subtree(motion.instance))
+        rotation, shift = np.tile(motion.rotation, (len(moved), 1, 1)), np.tile(shift, (len(moved), 1))
+        detector.organs.move(moved, rotation, shift)
     assert current_counts(detector) == count_contacts(expected.mesh) == expected.contacts

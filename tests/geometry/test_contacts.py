@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from pepperscene.geometry import (
 )
 from pepperscene.geometry.contacts.detect import ContactDetector, current_counts
 from pepperscene.geometry.contacts.joints import units_of
-from pepperscene.geometry.contacts.leaves import _shared_organs
+from pepperscene.geometry.contacts.leaves import _nested_units
 from pepperscene.geometry.contacts.organs import LEAF, Organs
 from pepperscene.geometry.contacts.resolve import ContactSolver, _Round
 
@@ -287,9 +288,10 @@ def test_units_that_share_organs_clash_wherever_they_move() -> None:
         units for units in (units_of(organs, index) for index in organs.of_class(LEAF)) if len(units) > 2
     )
     others = units_of(organs, nested[-1].members[0] - 1)
-    shared = _shared_organs(
-        [*nested, *(unit for unit in others if not set(unit.members) & set(nested[-1].members))]
-    )
-    count = len(nested)
-    assert shared[:count, :count].all()
-    assert not shared[:count, count:].any()
+    units = [*nested, *(unit for unit in others if not set(unit.members) & set(nested[-1].members))]
+    pairs = {(min(pair), max(pair)) for pair in _nested_units(units)}
+    assert {(a, b) for a, b in pairs if a < len(nested)} == set(combinations(range(len(nested)), 2))
+    # Compared with their members.
+    assert pairs == {
+        (a, b) for a, b in combinations(range(len(units)), 2) if set(units[a].members) & set(units[b].members)
+    }

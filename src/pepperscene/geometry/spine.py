@@ -38,12 +38,19 @@ class Spines:
         position = along * (steps / self.lengths)[:, None]
         index = np.clip(np.floor(position), 0, steps - 1).astype(np.intp)
         fraction = (position - index)[..., None]
-        row = np.arange(len(self.points))[:, None]
-        start, end = (row, index), (row, index + 1)
-        point = self.points[start] + fraction * (self.points[end] - self.points[start])
+        start = index + (steps + 1) * np.arange(len(self.points))[:, None]
+
+        def ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+            flat = values.reshape(-1, 3)
+            return flat.take(start, axis=0), flat.take(start + 1, axis=0)
+
+        before, after = ends(self.points)
+        point = before + fraction * (after - before)
         fraction = np.clip(fraction, 0.0, 1.0)
-        normal = normalize(self.normals[start] * (1.0 - fraction) + self.normals[end] * fraction)
-        binormal = normalize(self.binormals[start] * (1.0 - fraction) + self.binormals[end] * fraction)
+        before, after = ends(self.normals)
+        normal = normalize(before * (1.0 - fraction) + after * fraction)
+        before, after = ends(self.binormals)
+        binormal = normalize(before * (1.0 - fraction) + after * fraction)
         return point, normal, binormal
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -31,8 +32,16 @@ ROUGH: Final = Resolution(4, 3, 4, 3, 24)
 
 def coarse_faces(uv: SingleArray, organ_class: int, resolution: Resolution) -> IndexArray:
     """Choose `(f, 3)` triangles on some vertices of an organ with surface coordinates `(v, 2)`."""
-    wide = uv.astype(np.float64)
-    return _sheet_faces(wide, resolution) if organ_class == LEAF else _tube_faces(wide, resolution)
+    return _cached_faces(
+        np.ascontiguousarray(uv, dtype=np.float32).tobytes(), organ_class == LEAF, resolution
+    )
+
+
+@lru_cache(maxsize=256)
+def _cached_faces(uv: bytes, is_sheet: bool, resolution: Resolution) -> IndexArray:
+    """The triangles of a sheet or tube; plants of a cultivar have the same few grids."""
+    wide = np.frombuffer(uv, dtype=np.float32).reshape(-1, 2).astype(np.float64)
+    return _sheet_faces(wide, resolution) if is_sheet else _tube_faces(wide, resolution)
 
 
 def _sheet_faces(uv: FloatArray, resolution: Resolution) -> IndexArray:

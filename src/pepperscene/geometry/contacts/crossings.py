@@ -6,6 +6,7 @@ with triangles.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,9 +21,6 @@ _BLOCK: Final = 1 << 18  # pairs of boxes compared at a time, chosen: they fit i
 
 CLEARANCE: Final = 1.5e-3
 """Metres, chosen: triangles closer than this cross, as fine ones may between the vertices of coarse ones."""
-
-Corners = tuple[SingleArray, SingleArray, SingleArray]
-"""Corners of triangles, `(3, n)` metres each."""
 
 
 class CoarseTriangles:
@@ -55,7 +53,7 @@ class CoarseTriangles:
     ) -> tuple[FloatArray, FloatArray]:
         """`(e, 3)` corners of boxes, larger by the clearance, around organs `(e,)` after motions."""
         rows, position = self._vertices.of(organ)
-        points = _transform(self._points[:, rows], rotation, shift, position)
+        points = _transform(self._points.take(rows, axis=1), rotation, shift, position)
         low, high = _bounds((points, points), self._vertices.starts(organ))
         return low - CLEARANCE, high + CLEARANCE
 
@@ -86,10 +84,10 @@ class CoarseTriangles:
             return result
         # The triangles of the organs that move.
         rows, position = self._vertices.of(organ)
-        points = _transform(self._points[:, rows], rotation, shift, position)
+        points = _transform(self._points.take(rows, axis=1), rotation, shift, position)
         face, position = self._faces.of(organ)
         offset = self._vertices.starts(organ) - self._vertices.first[organ]
-        corners = self._corners[:, face] + offset[position]
+        corners = self._corners.take(face, axis=1) + offset.take(position)
         low, high = _boxes(points, corners)
         boxes = low - np.float32(clearance), high + np.float32(clearance)
         starts = self._faces.starts(organ)
@@ -103,7 +101,7 @@ class CoarseTriangles:
             return result
         distinct, place = np.unique(other[near], return_inverse=True)
         other_face, _ = self._faces.of(distinct)
-        other_corners = self._corners[:, other_face]
+        other_corners = self._corners.take(other_face, axis=1)
         other_boxes = _boxes(self._points, other_corners)
         pair, number = expand_counts(self._faces.count[other[near]])
         theirs = self._faces.starts(distinct)[place][pair] + number
@@ -117,18 +115,23 @@ class CoarseTriangles:
         own_pair = near[left][row]
         # Pairs of these.
         start, stop = (np.searchsorted(their_pair, own_pair, side) for side in ("left", "right"))
+        their_boxes = other_boxes[0].take(theirs, axis=1), other_boxes[1].take(theirs, axis=1)
         total, done = np.cumsum(stop - start), 0
         while done < len(own):
             before = total[done - 1] if done else 0
             end = max(int(np.searchsorted(total, before + _BLOCK, side="right")), done + 1)
-            row, number = expand_counts((stop - start)[done:end])
-            a, b = own[done:end][row], theirs[start[done:end][row] + number]
-            a, b, row = _overlapping_pairs(boxes, a, other_boxes, b, own_pair[done:end][row])
-            one = points[:, corners[0, a]], points[:, corners[1, a]], points[:, corners[2, a]]
-            x, y, z = other_corners[:, b]
-            two = self._points[:, x], self._points[:, y], self._points[:, z]
-            crossing = crossing_triangles(one, two, clearance)
-            result += np.bincount(row[crossing], minlength=len(result))
+            block = own[done:end]
+            row, column = _overlapping_runs(
+                (boxes[0].take(block, axis=1), boxes[1].take(block, axis=1)),
+                their_boxes,
+                start[done:end],
+                (stop - start)[done:end],
+            )
+            a, b, pair = block.take(row), theirs.take(column), own_pair[done:end].take(row)
+            one, a = _used_planes(points, corners, a)
+            two, b = _used_planes(self._points, other_corners, b)
+            crossing = crossing_triangles(one, a, two, b, clearance)
+            result += np.bincount(pair[crossing], minlength=len(result))
             done = end
         return result
 
@@ -196,7 +199,7 @@ def _transform(
 
 def _boxes(points: SingleArray, corners: IndexArray) -> Boxes:
     """The boxes of triangles."""
-    a, b, c = (points[:, corner] for corner in corners)
+    a, b, c = (points.take(corner, axis=1) for corner in corners)
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
@@ -212,9 +215,10 @@ def _overlapping(
 ) -> tuple[IndexArray, IndexArray]:
     """The rows and columns of two tables of boxes that overlap."""
     for axis in range(3):
-        kept = boxes[0][axis].take(rows) <= others[1][axis].take(columns)
-        kept &= boxes[1][axis].take(rows) >= others[0][axis].take(columns)
-        rows, columns = rows[kept], columns[kept]
+        overlap = boxes[0][axis].take(rows) <= others[1][axis].take(columns)
+        overlap &= boxes[1][axis].take(rows) >= others[0][axis].take(columns)
+        kept = np.flatnonzero(overlap)
+        rows, columns = rows.take(kept), columns.take(kept)
     return rows, columns
 
 
@@ -228,67 +232,134 @@ def _bounds_by_pair(boxes: Boxes, rows: IndexArray, pair: IndexArray) -> tuple[I
     return pair[first], (low, high)
 
 
-def _overlapping_pairs(
-    boxes: Boxes, rows: IndexArray, others: Boxes, columns: IndexArray, pairs: IndexArray
-) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """As `_overlapping`, and the pair of each."""
+def _overlapping_runs(
+    boxes: Boxes, others: Boxes, start: IndexArray, count: IndexArray
+) -> tuple[IndexArray, IndexArray]:
+    """Indices of boxes and of others that overlap, of a run of others for each box."""
+    row = np.repeat(np.arange(len(count)), count)
+    column = np.arange(len(row)) + np.repeat(start - np.cumsum(count) + count, count)
     for axis in range(3):
-        kept = boxes[0][axis].take(rows) <= others[1][axis].take(columns)
-        kept &= boxes[1][axis].take(rows) >= others[0][axis].take(columns)
-        rows, columns, pairs = rows[kept], columns[kept], pairs[kept]
-    return rows, columns, pairs
+        # Repeating is faster than taking, where nothing has been left out yet.
+        low, high = (np.repeat(side[axis], count) if axis == 0 else side[axis].take(row) for side in boxes)
+        overlap = low <= others[1][axis].take(column)
+        overlap &= high >= others[0][axis].take(column)
+        kept = np.flatnonzero(overlap)
+        row, column = row.take(kept), column.take(kept)
+    return row, column
 
 
-def crossing_triangles(one: Corners, two: Corners, clearance: float = CLEARANCE) -> IndexArray:
-    """Indices of pairs of triangles that cross, or do so after a move by the clearance along a normal."""
-    rows, near = np.arange(one[0].shape[1]), np.float32(clearance)
-    for _ in range(2):
-        # Both triangles must have corners on both sides of the plane of the other, or close to it.
-        a, b, c = two
-        normal = _cross_product(b - a, c - a)
-        reach = near * np.sqrt(_dot(normal, normal))
-        x, y, z = (_dot(normal, corner - a) for corner in one)
-        straddles = np.minimum(np.minimum(x, y), z) < reach
-        straddles &= np.maximum(np.maximum(x, y), z) > -reach
-        kept = np.flatnonzero(straddles)
-        one, two, rows = _select(two, kept), _select(one, kept), rows[kept]
-    return np.asarray(rows[_edge_hits(one, two, near) | _edge_hits(two, one, near)])
+@dataclass(frozen=True, eq=False)
+class TrianglePlanes:
+    """Triangles and their planes; a product with the normal is a height above the plane times its length."""
+
+    corners: SingleArray  # `(3, 3, f)` metres: axis, corner, triangle
+    normal: SingleArray  # `(3, f)` square metres
+    square: SingleArray  # `(f,)` of the normal
+    coordinates: SingleArray  # `(2, 3, f)`: products with these are coordinates of a point on the triangle
+
+    @classmethod
+    def of(cls, corners: SingleArray) -> TrianglePlanes:
+        """The planes of triangles `(3, 3, f)`."""
+        u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        normal = _cross_product(u, v)
+        square = np.asarray(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+        nonzero = np.maximum(square, np.float32(1e-30))
+        coordinates = np.stack([_cross_product(v, normal), _cross_product(normal, u)]) / nonzero
+        return cls(corners, normal, square, coordinates)
+
+    def heights(self, rows: IndexArray, others: TrianglePlanes, columns: IndexArray) -> SingleArray:
+        """`(3, n)` products of the normals with the corners of others."""
+        x, y, z = self._offsets(rows, others, columns)
+        a, b, c = self.normal.take(rows, axis=1)
+        return np.asarray(a * x + b * y + c * z)
+
+    def places(self, rows: IndexArray, others: TrianglePlanes, columns: IndexArray) -> SingleArray:
+        """`(2, 3, n)` coordinates of the corners of others, along two edges from the first corner."""
+        x, y, z = self._offsets(rows, others, columns)
+        a, b, c = self.coordinates.take(rows, axis=2).swapaxes(0, 1)[:, :, None]
+        return np.asarray(a * x + b * y + c * z)
+
+    def _offsets(self, rows: IndexArray, others: TrianglePlanes, columns: IndexArray) -> SingleArray:
+        """`(3, 3, n)` corners of others relative to the first corners."""
+        return np.asarray(others.corners.take(columns, axis=2) - self.corners[:, :1].take(rows, axis=2))
 
 
-def _select(corners: Corners, rows: IndexArray) -> Corners:
-    a, b, c = corners
-    return a[:, rows], b[:, rows], c[:, rows]
+def _used_planes(
+    points: SingleArray, corners: IndexArray, rows: IndexArray
+) -> tuple[TrianglePlanes, IndexArray]:
+    """The planes of those triangles that occur in `rows`, and the rows among these."""
+    used = np.zeros(corners.shape[1], dtype=bool)
+    used[rows] = True
+    chosen = np.flatnonzero(used)
+    place = np.empty(len(used), dtype=np.intp)
+    place[chosen] = np.arange(len(chosen))
+    return TrianglePlanes.of(points.take(corners[:, chosen], axis=1)), place.take(rows)
 
 
-def _edge_hits(one: Corners, two: Corners, clearance: np.float32) -> NDArray[np.bool_]:
-    """Whether an edge of the first triangle passes through the second, there or moved along its normal."""
-    origin = two[0]
-    u, v = two[1] - origin, two[2] - origin
-    normal = _cross_product(u, v)
-    square = np.maximum(_dot(normal, normal), np.float32(1e-30))
-    reach = clearance * np.sqrt(square)
-    # The coordinates of a point on the triangle are its products with these.
-    along_u = (_cross_product(v, normal) / square).astype(np.float32)
-    along_v = (_cross_product(normal, u) / square).astype(np.float32)
-    corners = [corner - origin for corner in one]
-    heights = [_dot(normal, corner) for corner in corners]
-    places = [(_dot(along_u, corner), _dot(along_v, corner)) for corner in corners]
-    hit = np.zeros(origin.shape[1], dtype=bool)
-    for k in range(3):
-        h0, h1 = heights[k], heights[k - 2]
-        change = np.where(h0 == h1, np.float32(1.0), h0 - h1)
-        (s0, t0), (s1, t1) = places[k], places[k - 2]
-        for level in (-reach, np.float32(0.0), reach):
-            fraction = (h0 - level) / change
-            s, t = s0 + fraction * (s1 - s0), t0 + fraction * (t1 - t0)
-            crosses = ((h0 - level) * (h1 - level) <= 0.0) & (h0 != h1)
-            hit |= crosses & (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
+def crossing_triangles(
+    one: TrianglePlanes,
+    rows: IndexArray,
+    two: TrianglePlanes,
+    columns: IndexArray,
+    clearance: float = CLEARANCE,
+) -> IndexArray:
+    """Indices of pairs of triangles that cross, or do so after a move by the clearance along a normal.
+
+    Args:
+        one: triangles, and
+        rows: `(n,)` that of each pair.
+        two: other triangles, and
+        columns: `(n,)` that of each pair.
+        clearance: metres.
+    """
+    near = np.float32(clearance)
+    # Both triangles must have corners on both sides of the plane of the other, or close to it.
+    above_two = two.heights(columns, one, rows)
+    kept = _straddling(above_two, near * np.sqrt(two.square).take(columns))
+    above_two, rows, columns = above_two.take(kept, axis=1), rows.take(kept), columns.take(kept)
+    above_one = one.heights(rows, two, columns)
+    both = _straddling(above_one, near * np.sqrt(one.square).take(rows))
+    kept, rows, columns = kept.take(both), rows.take(both), columns.take(both)
+    hit = _edge_hits(two, columns, one, rows, above_two.take(both, axis=1), near)
+    hit |= _edge_hits(one, rows, two, columns, above_one.take(both, axis=1), near)
+    return np.asarray(kept[hit])
+
+
+def _straddling(heights: SingleArray, reach: SingleArray) -> IndexArray:
+    """Indices of triangles with corners on both sides of a plane, or closer to it than the reach."""
+    straddles = heights.min(axis=0) < reach
+    straddles &= heights.max(axis=0) > -reach
+    return np.flatnonzero(straddles)
+
+
+def _edge_hits(
+    planes: TrianglePlanes,
+    rows: IndexArray,
+    others: TrianglePlanes,
+    columns: IndexArray,
+    heights: SingleArray,
+    clearance: np.float32,
+) -> NDArray[np.bool_]:
+    """Whether an edge of the other triangle passes through the first, there or moved along its normal.
+
+    `heights` are those of the other's corners, `(3, n)`.
+    """
+    reach = clearance * np.sqrt(np.maximum(planes.square, np.float32(1e-30))).take(rows)
+    # Heights of the corners above the triangle moved by less, not at all and by more; each edge runs to the
+    # next corner.
+    level = heights[:, None] - np.stack([-reach, np.zeros_like(reach), reach])
+    after = (1, 2, 0)
+    rise = heights - heights[after, :]
+    edge, step, pair = np.nonzero((level * level[after, :] <= 0.0) & (rise != 0.0)[:, None])
+    s, t = planes.places(rows, others, columns).reshape(2, -1)
+    start, end = edge * len(rows) + pair, np.array(after).take(edge) * len(rows) + pair
+    fraction = level[edge, step, pair] / rise.ravel().take(start)
+    s0, t0 = s.take(start), t.take(start)
+    s, t = s0 + fraction * (s.take(end) - s0), t0 + fraction * (t.take(end) - t0)
+    hit = np.zeros(len(rows), dtype=bool)
+    hit[pair[(s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)]] = True
     return hit
 
 
 def _cross_product(a: SingleArray, b: SingleArray) -> SingleArray:
     return np.stack([a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)])
-
-
-def _dot(a: SingleArray, b: SingleArray) -> SingleArray:
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

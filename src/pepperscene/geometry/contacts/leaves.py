@@ -14,7 +14,15 @@ from pepperscene.geometry.contacts.cost import ContactCosts, swept_boxes, weight
 from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import MovableUnit, RigidTransforms, disc_points, find_joints
-from pepperscene.geometry.contacts.organs import LEAF, SHOOT, STALK, STEM, Organs, boxes_overlap
+from pepperscene.geometry.contacts.organs import (
+    LEAF,
+    SHOOT,
+    STALK,
+    STEM,
+    Organs,
+    boxes_overlap,
+    overlapping_boxes,
+)
 from pepperscene.geometry.contacts.pairs import PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 
@@ -31,7 +39,6 @@ _PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free
 _MIN_GAIN: Final = 0.2  # chosen
 _LARGE_UNITS: Final = 6  # chosen: from this pass on both organs are tried, and shoots with several leaves
 _IDLE: Final = 3  # chosen: after so many passes in a row without any motion, others rarely find one
-_BLOCK: Final = 128  # boxes compared at a time, chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +82,7 @@ class LeafSolver:
     Args:
         detector: of the organs.
         angles: `(n, 2)` current angles of the units by their first organ; `move` changes them.
-        move: moves a unit to some angles.
+        move: moves units to some angles, `(u, 2)`.
         units_of: the units that an organ belongs to, smallest first.
     """
 
@@ -83,7 +90,7 @@ class LeafSolver:
         self,
         detector: ContactDetector,
         angles: FloatArray,
-        move: Callable[[MovableUnit, FloatArray], None],
+        move: Callable[[Sequence[MovableUnit], FloatArray], None],
         units_of: Callable[[int], list[MovableUnit]],
     ) -> None:
         self._detector, self._organs = detector, detector.organs
@@ -150,8 +157,8 @@ class LeafSolver:
         for place in np.argsort(-gain, kind="stable").tolist():
             if taken.isdisjoint(clashes.get(place, ())):
                 taken.add(place)
-        for place in sorted(taken):
-            self._move(units[unit[place]], poses.angles[unit[place], pose[place]])
+        chosen = np.array(sorted(taken))
+        self._move([units[row] for row in unit[chosen].tolist()], poses.angles[unit[chosen], pose[chosen]])
 
     def _select_units(self, number: int) -> list[MovableUnit]:
         """The units to try: of every pair of one organ, in later passes of both."""
@@ -258,7 +265,7 @@ class LeafSolver:
         organs, others = self._organs, self._examined
         members, owner, steps = poses.members, poses.owner, poses.count
         low, high = swept_boxes(organs, members, owner, poses.transforms)
-        row, column = _overlapping_boxes(
+        row, column = overlapping_boxes(
             low - _LARGE_CLEARANCE, high + _LARGE_CLEARANCE, organs.low[others], organs.high[others]
         )
         other = others[column]
@@ -294,7 +301,7 @@ class LeafSolver:
         organ, number = poses.members[rows], place[poses.owner[rows]]
         entry = rows * poses.count + pose[number]
         low, high = poses.low[entry], poses.high[entry]
-        i, j = _overlapping_boxes(low, high, low, high)
+        i, j = overlapping_boxes(low, high, low, high)
         different = number[i] < number[j]
         i, j = i[different], j[different]
         kept = _must_not_cross(self._organs, organ[i], organ[j])
@@ -305,13 +312,10 @@ class LeafSolver:
         shift = np.matmul(back, (poses.shift[entry[k]] - poses.shift[entry[m]])[:, :, None])[:, :, 0]
         crosses = self._fine.count(organ[k], rotation, shift, np.arange(len(k)), organ[m]) > 0
         # Units of the same organs clash wherever they are: each was tried with the other at its old pose.
-        same, also = np.nonzero(np.triu(_shared_organs([poses.units[row] for row in unit.tolist()]), 1))
+        shared = _nested_units([poses.units[row] for row in unit.tolist()])
+        crossing = zip(number[k[crosses]].tolist(), number[m[crosses]].tolist(), strict=True)
         clashes: dict[int, list[int]] = {}
-        for first, second in zip(
-            np.concatenate([same, number[k[crosses]]]).tolist(),
-            np.concatenate([also, number[m[crosses]]]).tolist(),
-            strict=True,
-        ):
+        for first, second in (*shared, *crossing):
             clashes.setdefault(first, []).append(second)
             clashes.setdefault(second, []).append(first)
         return clashes
@@ -322,27 +326,15 @@ def _pair_cost(number: IndexArray, each: float) -> FloatArray:
     return np.asarray(np.where(number > 0, 1.0 + each * number, 0.0))
 
 
-def _shared_organs(units: Sequence[MovableUnit]) -> NDArray[np.bool_]:
-    """`(u, u)` whether two units have an organ in common."""
-    members = np.concatenate([np.array(unit.members) for unit in units])
-    owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
-    distinct, column = np.unique(members, return_inverse=True)
-    inside = np.zeros((len(units), len(distinct)), dtype=np.float32)
-    inside[owner, column] = 1.0
-    return np.asarray(inside @ inside.T > 0.0)
-
-
-def _overlapping_boxes(
-    low: FloatArray, high: FloatArray, other_low: FloatArray, other_high: FloatArray
-) -> tuple[IndexArray, IndexArray]:
-    """Rows of two tables of boxes, `(n, 3)` corners, that overlap."""
-    rows, columns = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
-    for start in range(0, len(low), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        row, column = np.nonzero(boxes_overlap(low[block, None], high[block, None], other_low, other_high))
-        rows.append(start + row)
-        columns.append(column)
-    return np.concatenate(rows), np.concatenate(columns)
+def _nested_units(units: Sequence[MovableUnit]) -> list[tuple[int, int]]:
+    """Indices of units that have organs in common: the root of one is an organ of the other, named second."""
+    unit_of_root = {unit.root: number for number, unit in enumerate(units)}
+    return [
+        (unit_of_root[member], number)
+        for number, unit in enumerate(units)
+        for member in unit.members
+        if member in unit_of_root and member != unit.root
+    ]
 
 
 def _must_not_cross(organs: Organs, one: IndexArray, two: IndexArray) -> NDArray[np.bool_]:

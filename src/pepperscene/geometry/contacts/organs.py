@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Final
@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.geometry.contacts.patches import Patches, build_patches, expand_counts, fill_triangles
+from pepperscene.geometry.contacts.patches import (
+    PATCH_SIZE,
+    Patches,
+    build_patches,
+    expand_counts,
+    fill_triangles,
+)
 from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray
 
 # Plain integers: members of an enumeration are slow to look up. An organ without a class is a flower.
@@ -23,7 +29,7 @@ FLOWER, LEAF, FRUIT, STALK, STEM, SHOOT, WIRE = (
     )
 )  # fmt: skip
 
-_BLOCK: Final = 128  # boxes compared at a time, chosen
+_BLOCK: Final = 64  # boxes compared at a time, chosen
 
 
 def boxes_overlap(
@@ -35,6 +41,29 @@ def boxes_overlap(
         result &= low[..., axis] < other_high[..., axis]
         result &= high[..., axis] > other_low[..., axis]
     return result
+
+
+def overlapping_boxes(
+    low: FloatArray, high: FloatArray, other_low: FloatArray, other_high: FloatArray
+) -> tuple[IndexArray, IndexArray]:
+    """Rows of two tables of boxes, `(n, 3)` and `(m, 3)` corners, that overlap; ascending."""
+    if not len(low) or not len(other_low):
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+    # Sweep along the longest axis: compare a block of neighbours with the others in the same range only.
+    axis = int((other_high.max(axis=0) - other_low.min(axis=0)).argmax())
+    order = np.argsort(low[:, axis], kind="stable")
+    found = []
+    for start in range(0, len(order), _BLOCK):
+        block = order[start : start + _BLOCK]
+        first, last = low[block], high[block]
+        near = np.flatnonzero(
+            (other_low[:, axis] < last[:, axis].max()) & (other_high[:, axis] > first[:, axis].min())
+        )
+        overlap = boxes_overlap(first[:, None], last[:, None], other_low[near], other_high[near])
+        row, column = np.divmod(np.flatnonzero(overlap), max(len(near), 1))
+        found.append(block[row] * len(other_low) + near[column])
+    row, column = np.divmod(np.sort(np.concatenate(found)), len(other_low))
+    return row, column
 
 
 class Organs:
@@ -90,22 +119,8 @@ class Organs:
         self, organs: IndexArray, others: IndexArray, margin: float
     ) -> tuple[IndexArray, IndexArray]:
         """Positions in `organs` and in `others` of pairs whose boxes are closer than `margin` metres."""
-        rows, columns = [], []
-        # Sweep along x: compare a block of neighbours with the others in the same range only.
-        order = np.argsort(self.low[organs, 0], kind="stable")
         low, high = self.low[others] - margin, self.high[others] + margin
-        for start in range(0, len(order), _BLOCK):
-            block = organs[order[start : start + _BLOCK]]
-            near = np.flatnonzero(
-                (low[:, 0] < self.high[block, 0].max()) & (high[:, 0] > self.low[block, 0].min())
-            )
-            row, column = np.nonzero(
-                boxes_overlap(self.low[block, None], self.high[block, None], low[near], high[near])
-            )
-            rows.append(order[start + row])
-            columns.append(near[column])
-        empty = np.empty(0, dtype=np.intp)
-        return np.concatenate([empty, *rows]), np.concatenate([empty, *columns])
+        return overlapping_boxes(self.low[organs], self.high[organs], low, high)
 
     @property
     def is_contiguous(self) -> bool:
@@ -190,17 +205,21 @@ class Organs:
         self.patch_first[missing] = self._used + np.cumsum(count) - count
         self.patch_count[missing] = count
         self._used += len(patches)
-        for organ in numbers:
-            if self.moved_at[organ]:
-                self._move_patches(organ, self.rotation[organ], self.shift[organ])
+        moved = missing[self.moved_at[missing] > 0]
+        self._move_patches(moved, self.rotation[moved], self.shift[moved])
 
-    def _move_patches(self, organ: int, rotation: FloatArray, shift: FloatArray) -> SingleArray:
-        """Move an organ's patches; return their points, `(p, 3)`."""
-        first = int(self.patch_first[organ])
-        rows = slice(first, first + int(self.patch_count[organ]))
-        moved = self.all_patches.view(rows).transform(rotation, shift)
-        self.all_patches.write(first, moved)
-        return moved.points.reshape(-1, 3)
+    def _move_patches(self, organs: IndexArray, rotation: FloatArray, shift: FloatArray) -> None:
+        """Move the patches of some organs `(m,)` by transforms `(m, 3, 3)` and `(m, 3)`."""
+        if not len(organs):
+            return
+        position, number = expand_counts(self.patch_count[organs])
+        patch = self.patch_first[organs][position] + number
+        points, centre = self.all_patches.points.transpose(2, 0, 1), self.all_patches.centre.T
+        moved = _transform(points[:, patch], rotation, shift, position)
+        points[:, patch] = moved
+        centre[:, patch] = _transform(centre[:, patch], rotation, shift, position)
+        starts = np.flatnonzero(np.diff(position, prepend=-1))
+        self._set_boxes(organs, moved.reshape(3, -1), PATCH_SIZE * starts)
 
     def patches(self, organs: IndexArray) -> tuple[Patches, IndexArray, IndexArray]:
         """Sample points on the surfaces of some organs at their current poses, in patches.
@@ -231,20 +250,25 @@ class Organs:
             above = int(self.parent[above])
         return result
 
-    def move(self, organs: Iterable[int], rotation: FloatArray, shift: FloatArray) -> None:
-        """Move every point p of some organs to rotation @ p + shift."""
+    def move(self, organs: IndexArray, rotation: FloatArray, shift: FloatArray) -> None:
+        """Move every point p of each of some organs `(m,)` to rotation @ p + shift, `(m, 3, 3)`, `(m, 3)`."""
         self.moves += 1
-        for organ in organs:
-            self.rotation[organ] = rotation @ self.rotation[organ]
-            self.shift[organ] = rotation @ self.shift[organ] + shift
-            self.moved_at[organ] = self.moves
-            if not self.solid[organ]:
-                continue
-            if self.patch_count[organ] < 0:
-                points = self._current_points(organ, self.original_vertices(organ))
-            else:
-                points = self._move_patches(organ, rotation, shift)
-            self.low[organ], self.high[organ] = points.min(axis=0), points.max(axis=0)
+        self.rotation[organs] = np.matmul(rotation, self.rotation[organs])
+        self.shift[organs] = np.matmul(rotation, self.shift[organs][:, :, None])[:, :, 0] + shift
+        self.moved_at[organs] = self.moves
+        solid = self.solid[organs]
+        sampled = np.flatnonzero(solid & (self.patch_count[organs] >= 0))
+        self._move_patches(organs[sampled], rotation[sampled], shift[sampled])
+        others = organs[solid & (self.patch_count[organs] < 0)]
+        rows, position = self.vertices_of(others)
+        points = _transform(self.mesh.vertices[rows].T, self.rotation[others], self.shift[others], position)
+        self._set_boxes(others, points, np.flatnonzero(np.diff(position, prepend=-1)))
+
+    def _set_boxes(self, organs: IndexArray, points: SingleArray, starts: IndexArray) -> None:
+        """Set the boxes of organs to those of their points `(3, p)`, which start at some positions."""
+        if len(organs):
+            self.low[organs] = np.stack([np.minimum.reduceat(axis, starts) for axis in points], axis=1)
+            self.high[organs] = np.stack([np.maximum.reduceat(axis, starts) for axis in points], axis=1)
 
     def current_mesh(self) -> Mesh:
         """The mesh with every organ at its current pose; the original object if none has moved."""
@@ -280,3 +304,16 @@ class Organs:
             low[used] = np.minimum.reduceat(vertices, runs.first[used], axis=0)
             high[used] = np.maximum.reduceat(vertices, runs.first[used], axis=0)
         return low, high
+
+
+def _transform(
+    points: SingleArray, rotation: FloatArray, shift: FloatArray, position: IndexArray
+) -> SingleArray:
+    """`(3, p, ...)` points moved by the transform at the position of each."""
+    result = np.empty(points.shape, dtype=np.float32)
+    shape = (-1, *[1] * (points.ndim - 2))
+    matrix, offset = rotation.transpose(1, 2, 0).take(position, axis=2), shift.T.take(position, axis=1)
+    for axis in range(3):
+        a, b, c = (column.reshape(shape) for column in matrix[axis])
+        result[axis] = a * points[0] + b * points[1] + c * points[2] + offset[axis].reshape(shape)
+    return result

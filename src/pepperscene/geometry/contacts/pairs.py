@@ -143,8 +143,9 @@ def _near_patches(
         for axis in range(3):
             offset = target[axis] - np.clip(target[axis], low[block, axis, None], high[block, axis, None])
             square += offset * offset
-        pair, step = np.nonzero(square < np.square(radii[block])[:, None])
-        sphere, pair = target[:, pair, step], pair + start
+        near = np.flatnonzero(square < np.square(radii[block])[:, None])
+        pair, step = np.divmod(near, steps)
+        sphere, pair = target.reshape(3, -1).take(near, axis=1), pair + start
         # Sample only organs that come near to something.
         organs.sample(movers[np.unique(pair)])
         count = organs.patch_count[movers[pair]]

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
+from pepperscene.geometry.mesh import IndexArray, SingleArray
 
 SPACING: Final = 4.5e-3
 """Maximum distance in metres of neighbouring points along an edge of two triangles, chosen.
@@ -100,12 +100,6 @@ class Patches:
         """Overwrite patches, starting at index `first`."""
         rows = slice(first, first + len(other))
         self.points[rows], self.centre[rows], self.radius[rows] = other.points, other.centre, other.radius
-
-    def transform(self, rotation: FloatArray, shift: FloatArray) -> Patches:
-        """Move every point p to rotation @ p + shift."""
-        points = (self.points.reshape(-1, 3) @ rotation.T + shift).astype(np.float32)
-        centre = (self.centre @ rotation.T + shift).astype(np.float32)
-        return Patches(points.reshape(self.points.shape), centre, self.radius)
 
 
 def build_patches(

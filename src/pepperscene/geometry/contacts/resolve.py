@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -223,7 +224,7 @@ class ContactSolver:
             ):
                 waiting.append(place)
             else:
-                self._move(unit, angles[unit.root])
+                self._move([unit], angles[unit.root][None])
         return contacts[waiting]
 
     def _comes_near(self, unit: MovableUnit, angles: FloatArray, others: IndexArray) -> bool:
@@ -237,19 +238,27 @@ class ContactSolver:
         fruit = organs.organ_class == FRUIT
         return bool(np.any(near & (fruit[members][:, None] | fruit[others])))
 
-    def _move(self, unit: MovableUnit, angles: FloatArray) -> None:
-        """Move a unit to some angles."""
-        change = angles - self._angles[unit.root]
-        joints = find_joints(self.organs, [unit])
-        around, up = change
-        for axis, angle, pivot in ((joints.across, up, joints.foot), (joints.axis, around, joints.pivot)):
-            if angle != 0.0:
-                self.motions.append(
-                    JointRotation(unit.root, rotations(axis, np.array([[angle]]))[0, 0], pivot[0])
-                )
-        transforms = joints.transforms(change[None, None])
-        self.organs.move(unit.members, transforms.rotation[0, 0], transforms.shift[0, 0])
-        self._angles[unit.root] = angles
+    def _move(self, units: Sequence[MovableUnit], angles: FloatArray) -> None:
+        """Move units that have no organs in common to some angles, `(u, 2)`."""
+        roots = np.array([unit.root for unit in units])
+        change = angles - self._angles[roots]
+        joints = find_joints(self.organs, units)
+        around, up = change.T
+        parts = (
+            (up, rotations(joints.across, up[:, None]), joints.foot),
+            (around, rotations(joints.axis, around[:, None]), joints.pivot),
+        )
+        for row, unit in enumerate(units):
+            self.motions += [
+                JointRotation(unit.root, rotation[row, 0], pivot[row])
+                for angle, rotation, pivot in parts
+                if angle[row] != 0.0
+            ]
+        transforms = joints.transforms(change[:, None])
+        owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
+        members = np.concatenate([np.array(unit.members) for unit in units])
+        self.organs.move(members, transforms.rotation[owner, 0], transforms.shift[owner, 0])
+        self._angles[roots] = angles
 
 
 @dataclass(frozen=True, eq=False)

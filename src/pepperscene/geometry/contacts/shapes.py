@@ -94,11 +94,12 @@ class FruitSurfaces:
         for axis, (a, b, c) in enumerate(matrix):
             local[axis] = a * x + b * y + c * z + offset[axis]
             square += local[axis] * local[axis]
-        number, patch = np.nonzero(square < limit * limit)
+        near = np.flatnonzero(square < limit * limit)
         depth = np.full(x.shape, -np.inf, dtype=np.float32)
-        x, y, z = local[:, number, patch]
-        plane = self._planes.reshape(-1, 4)[_cell(x, y, z) + row[patch] * _CELLS**2]
-        depth[number, patch] = plane[:, 3] - plane[:, 0] * x - plane[:, 1] * y - plane[:, 2] * z
+        x, y, z = local.reshape(3, -1).take(near, axis=1)
+        first = np.broadcast_to(row * _CELLS**2, depth.shape).ravel().take(near)
+        a, b, c, d = self._planes.reshape(-1, 4).take(_cell(x, y, z) + first, axis=0).T
+        depth.ravel()[near] = d - a * x - b * y - c * z
         return np.asarray(depth.max(axis=0))
 
 
