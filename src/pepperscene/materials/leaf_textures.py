@@ -142,9 +142,9 @@ def residue_pattern(
     # Fine and weak: at half a metre, dust is seen as greyness, not as spots.
     film = np.exp(
         0.30 * _noise(grid, tile, BROAD_MM, rng)
-        + 0.12 * _noise(grid, tile, 3.5, rng)
-        + 0.18 * _noise(grid, tile, 1.5, rng)
-        + 0.22 * _noise(grid, tile, 0.8, rng)
+        + 0.15 * _noise(grid, tile, 3.5, rng)
+        + 0.26 * _noise(grid, tile, 1.5, rng)
+        + 0.32 * _noise(grid, tile, 0.8, rng)
     )
     film *= 1.0 + 0.6 * _ridge(veins.midrib_mm, 1.6) + 0.4 * _ridge(veins.lateral_mm, 1.2)
     film *= 1.0 + 0.3 * _ridge(veins.islet_mm, 0.8)
