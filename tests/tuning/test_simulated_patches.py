@@ -65,8 +65,10 @@ def test_exposure_and_power_are_factors_of_light(recipe, default):
     half = simulate_patches(recipe, {"exposure": 0.5}, ["leaf"], **SMALL)
     assert light(half) == pytest.approx(0.5 * light(default), rel=0.02, abs=NOISE)
     dark = load_recipe("barth2018", {"daylight.illuminance_lx": 0.0})
-    full, weak = (simulate_patches(dark, {"flash.power": p}, ["leaf"], **SMALL) for p in (1.0, 0.5))
-    assert light(weak) == pytest.approx(0.5 * light(full), rel=0.02, abs=NOISE)
+    # At full power, the gloss of a leaf that faces the flash saturates the sensor.
+    strong, weak = (simulate_patches(dark, {"flash.power": p}, ["leaf"], **SMALL) for p in (0.5, 0.25))
+    assert strong.pixels("leaf").max() < 1.0
+    assert light(weak) == pytest.approx(0.5 * light(strong), rel=0.02, abs=NOISE)
 
 
 def test_pigments_change_their_own_organs_only(recipe, default):
