@@ -145,8 +145,9 @@ def mask_polygons(mask: NDArray[np.bool_], smallest_px: int) -> list[Points]:
     """
     polygons = []
     pieces = sorted(_find_pieces(mask), key=lambda piece: -piece.pixels)
+    labels = _label_pieces(mask) if len(pieces) > 2 else None
     while pieces:
-        ring, pixels, pieces = _join_pieces(pieces, smallest_px)
+        ring, pixels, pieces = _join_pieces(pieces, smallest_px, labels)
         if pixels >= smallest_px:
             polygons.append(np.array(ring.outline(), dtype=np.int32).reshape(-1, 2))
     return polygons
@@ -176,8 +177,20 @@ def _find_pieces(mask: NDArray[np.bool_]) -> list[Ring]:
     return pieces
 
 
-def _join_pieces(pieces: list[Ring], smallest_px: int) -> tuple[Ring, int, list[Ring]]:
-    """The first piece with those worth a bridge attached, nearest first; its pixels; the other pieces."""
+def _label_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The number of the connected piece that each pixel belongs to, 0 outside the mask."""
+    labels: NDArray[np.int32] = import_library("cv2").connectedComponents(mask.view(np.uint8))[1]
+    return labels
+
+
+def _join_pieces(
+    pieces: list[Ring], smallest_px: int, labels: NDArray[np.int32] | None
+) -> tuple[Ring, int, list[Ring]]:
+    """The first piece with those worth a bridge attached, nearest first; its pixels; the other pieces.
+
+    `labels` number the pieces of the mask where there are more than two: no bridge crosses a third piece,
+    which may become a polygon of its own.
+    """
     root, *others = pieces
     pixels, bridge_pixels = root.pixels, 0.0
     # The shortest bridge from what is joined to each of the others: length, both points, ring it starts from.
@@ -190,7 +203,11 @@ def _join_pieces(pieces: list[Ring], smallest_px: int) -> tuple[Ring, int, list[
 
     while candidates := [index for index in range(len(others)) if is_worth(index)]:
         nearest = min(candidates, key=lambda index: bridges[index][0])
-        (length, point, other_point, ring), piece = bridges.pop(nearest), others.pop(nearest)
+        (length, point, other_point, ring), piece = bridges[nearest], others[nearest]
+        if labels is not None and _crosses_third(labels, ring.points[point], piece.points[other_point]):
+            bridges[nearest] = (np.inf, point, other_point, ring)
+            continue
+        del bridges[nearest], others[nearest]
         ring.attach(piece, point, other_point)
         pixels, bridge_pixels = pixels + piece.pixels, bridge_pixels + max(length - 1, 0.0)
         for index, other in enumerate(others):
@@ -205,6 +222,14 @@ def _nearest_points(a: Points, b: Points) -> tuple[float, int, int]:
     steps = np.maximum(np.abs(a[:, None, 0] - b[None, :, 0]), np.abs(a[:, None, 1] - b[None, :, 1]))
     index_a, index_b = divmod(int(steps.argmin()), len(b))
     return float(steps[index_a, index_b]), index_a, index_b
+
+
+def _crosses_third(labels: NDArray[np.int32], start: Points, end: Points) -> bool:
+    """Whether the straight line between pixels of two pieces crosses another piece."""
+    line = np.zeros(labels.shape, np.uint8)
+    import_library("cv2").fillPoly(line, [np.stack([start, end])], 1)
+    both = labels[[start[1], end[1]], [start[0], end[0]]]
+    return bool(np.setdiff1d(labels[line > 0], [0, *both]).size)
 
 
 def _perimeter(points: Points) -> int:
