@@ -25,7 +25,7 @@ BROAD_MM: Final = 18.0
 
 SIGMAS_MM: Final = (0.8, 1.5, 3.5, RIPPLE_MM, BROAD_MM)  # of the noise that all textures share
 
-BULGE_MM: Final = 1.3
+BULGE_MM: Final = 1.85
 """Mean height of the bulging cells above their corners, before these are rounded off; 0.6 to 1.2 mm above
 their walls are then left in cells of 8 to 12 mm."""
 BULGE_RADIUS_MM: Final = 5.8  # from the centre of a cell to its corners
@@ -121,7 +121,7 @@ def vein_relief(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.rando
     relief += 0.05 * _noise(grid, tile, 3.5, rng) + 0.006 * _noise(grid, tile, 0.8, rng)
     taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
     relief -= 0.45 * (1.0 - 0.6 * grid.height) * _ridge(veins.midrib_mm, 1.3)
-    relief -= 0.20 * taper * _ridge(veins.lateral_mm, 0.9)
+    relief -= 0.22 * taper * _ridge(veins.lateral_mm, 0.9)
     relief -= 0.07 * _ridge(veins.mesh_mm, 0.6)
     return np.asarray(relief, dtype=np.float32)
 
@@ -143,11 +143,10 @@ def residue_pattern(
     film = np.exp(
         0.30 * _noise(grid, tile, BROAD_MM, rng)
         + 0.10 * _noise(grid, tile, 3.5, rng)
-        + 0.16 * _noise(grid, tile, 1.5, rng)
-        + 0.20 * _noise(grid, tile, 0.8, rng)
+        + 0.08 * _noise(grid, tile, 1.5, rng)
+        + 0.12 * _noise(grid, tile, 0.8, rng)
     )
-    film *= 1.0 + 0.6 * _ridge(veins.midrib_mm, 1.6) + 0.3 * _ridge(veins.lateral_mm, 1.2)
-    film *= 1.0 + 0.45 * _ridge(veins.islet_mm, 0.8)
+    film *= 1.0 + 0.3 * _ridge(veins.midrib_mm, 1.6) + 0.15 * _ridge(veins.lateral_mm, 1.2)
     wet = drops.crop(rng, grid.shape) * (0.6 + 0.8 * grid.height**2)
     # Pools at the tip, within its last centimetre, and along the midrib.
     pools = 0.15 * _ridge(veins.midrib_mm, 2.0) + 0.5 * np.exp((grid.y_mm - grid.size_mm[1]) / 6.0)

@@ -71,6 +71,7 @@ class KernelScene:
         self, camera: Camera, quality: Quality, response: SpectralResponse, seed: int, scene: Scene
     ) -> TracedSignal:
         """Trace light with our integrator."""
+        quality = quality.for_light(has_flash=camera.flash is not None)
         adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
         light = trace(
             self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
@@ -101,15 +102,14 @@ class KernelScene:
         signal = np.zeros((camera.height, camera.width, camera.sensor.channels), np.float32)
         for part, stream in zip(parts, sampling.spawn(len(parts)), strict=True):
             adaptive = AdaptiveSampler(camera, target, quality.most, denoised=quality.denoise)
+            of_part = quality.for_light(has_flash=part.has_flash and camera.flash is not None)
             light = trace(
                 light_scene,
                 moving_rays(rays, camera.motion or Motion(), part.windows),
                 response,
                 camera.flash if part.has_flash else None,
                 sky_tables(scene, response.grid_nm) if part.has_daylight else None,
-                Sampling(
-                    quality.samples, quality.soft, quality.bounces, adaptive.required, quality.most_bounces
-                ),
+                _sampling(of_part, adaptive),
                 int(stream.generate_state(1)[0]),
             )
             lights.append(in_rows(light, part.share))

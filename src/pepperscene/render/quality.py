@@ -35,6 +35,8 @@ class Quality:
         integrator: "flash" for `pepperscene.render.transport.trace`, "path" for Mitsuba's own path tracer
             with `samples` in every pixel, the reference to compare with.
         sampler: for "path"; "flash" has its own.
+        soft_by_daylight: `soft` of frames without a flash, if it is greater: there nearly all light is soft, and
+            with few samples the denoiser takes the relief of leaves for noise.
 
     Raises:
         ValueError: a value is out of range or unknown.
@@ -49,14 +51,24 @@ class Quality:
     integrator: Integrator = "flash"
     sampler: Sampler = "independent"
     most_bounces: int = 0
+    soft_by_daylight: int = 0
 
     def __post_init__(self) -> None:
         if not 1 <= self.soft <= self.samples <= self.most:
             raise ValueError(f"quality: 1 <= soft <= samples <= most must hold, not {self}")
-        if min(self.bounces, self.most_bounces) < 0 or (self.target is not None and not self.target > 0.0):
-            raise ValueError(f"quality: bounces must be at least 0 and the target above 0, not {self}")
+        if min(self.bounces, self.most_bounces, self.soft_by_daylight) < 0 or (self.target is not None and not self.target > 0.0):
+            raise ValueError(f"quality: counts must be at least 0 and the target above 0, not {self}")
+        if self.soft_by_daylight > self.most:
+            raise ValueError(f"quality: soft_by_daylight must be at most `most`, not {self}")
         if self.integrator not in get_args(Integrator) or self.sampler not in get_args(Sampler):
             raise ValueError(f"quality: unknown integrator or sampler in {self}")
+
+    def for_light(self, *, has_flash: bool) -> Quality:
+        """The numbers of samples of frames with or without a flash."""
+        if has_flash or self.soft_by_daylight <= self.soft:
+            return self
+        soft = self.soft_by_daylight
+        return replace(self, soft=soft, samples=max(self.samples, soft))
 
 
 _LONGEST: Final = 64
@@ -65,7 +77,14 @@ _LONGEST: Final = 64
 QUALITIES: Final[Mapping[str, Quality]] = {
     "draft": Quality(samples=4, soft=1, most=4, bounces=1, target=None, denoise=True, most_bounces=_LONGEST),
     "standard": Quality(
-        samples=4, soft=2, most=64, bounces=2, target=0.15, denoise=True, most_bounces=_LONGEST
+        samples=4,
+        soft=2,
+        most=64,
+        bounces=2,
+        target=0.15,
+        denoise=True,
+        most_bounces=_LONGEST,
+        soft_by_daylight=8,
     ),
     "reference": Quality(
         samples=256, soft=256, most=256, bounces=6, target=None, denoise=False, most_bounces=_LONGEST
@@ -108,4 +127,13 @@ def resolve_quality(quality: str | Quality, target_error: float | None = None) -
     maximum = 2 ** math.ceil(math.log2(max(base.most, 64) * finer ** (4 / 3)))
     soft = math.ceil(base.soft * finer)
     samples = max(base.samples, 2 ** math.ceil(math.log2(soft)))
-    return replace(base, target=float(target_error), most=max(maximum, samples), soft=soft, samples=samples)
+    by_daylight = 2 ** math.ceil(math.log2(base.soft_by_daylight * finer)) if base.soft_by_daylight else 0
+    most = max(maximum, samples, by_daylight)
+    return replace(
+        base,
+        target=float(target_error),
+        most=most,
+        soft=soft,
+        samples=samples,
+        soft_by_daylight=by_daylight,
+    )

@@ -198,7 +198,9 @@ def _direct(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: An
         sunlit_point = tables.scene.surface_point(si, hit, active, tables.sun_optics, footprint)
         sky_and_sun += samples.sun_light(si, sunlit_point, active, tables.colours)
     albedo = dr.select(active, point.albedo(), 0.0)
-    normal = dr.select(active, dr.select(si.wi.z > 0, si.sh_frame.n, -si.sh_frame.n), 0.0)
+    # With its relief, whose shading the denoiser would take for noise otherwise.
+    relief = si.to_world(point.frame.n)
+    normal = dr.select(active, dr.select(si.wi.z > 0, relief, -relief), 0.0)
     values = [*flash, *sky_and_sun, *albedo, normal.x, normal.y, normal.z]
     return [*values, dr.select(active, mi.Float(1.0), 0.0), _sum_of_squares(tables, flash + sky_and_sun)]
 
