@@ -277,7 +277,12 @@ class ResolvedMesh:
 
 
 def resolve_contacts(
-    mesh: Mesh, rng: np.random.Generator, *, between_plants: bool = False, rounds: int = _ROUNDS
+    mesh: Mesh,
+    rng: np.random.Generator,
+    *,
+    between_plants: bool = False,
+    rounds: int = _ROUNDS,
+    free_leaves: bool = True,
 ) -> ResolvedMesh:
     """Rotate parts of plants so that fruit touches nothing and leaves do not run through each other or stems.
 
@@ -289,9 +294,10 @@ def resolve_contacts(
         mesh: one or more plants, z up, with the ground at z = 0.
         rng: for the candidate poses.
         between_plants: resolve only contacts between different plants (`Instance.plant`), taking those within
-            each plant as resolved; none of those gets worse. Leaves that still cross others of their plant
-            are tried again.
+            each plant as resolved; none of those gets worse. Leaves that cross others of their own plant are
+            tried too.
         rounds: maximum number of attempts to resolve all that still touches.
+        free_leaves: also rotate leaves that cross each other, after all other contacts.
 
     Raises:
         ValueError: two instances of the mesh share vertices.
@@ -301,7 +307,7 @@ def resolve_contacts(
         if not solver.run_round(number):
             break
     # Between plants, a single one has nothing to resolve: it stays the plant that is grown alone.
-    if not between_plants or len({item.plant for item in mesh.instances}) > 1:
+    if free_leaves and (not between_plants or len({item.plant for item in mesh.instances}) > 1):
         solver.free_leaves(min(rounds, PASSES))
     counts = current_counts(solver.detector)
     return ResolvedMesh(solver.organs.current_mesh(), tuple(solver.motions), counts)
