@@ -37,7 +37,7 @@ _LARGE_CLEARANCE: Final = 2.5e-3  # m, chosen: of rough triangles, which are far
 _ROUGH_CLEARANCE: Final = 2.0e-3  # m, chosen: in later passes, as little space is left
 _PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free poses the smallest is used
 _MIN_GAIN: Final = 0.2  # chosen
-_LARGE_UNITS: Final = 6  # chosen: from this pass on both organs are tried, and shoots with several leaves
+_LARGE_UNITS: Final = 3  # chosen: from this pass on both organs are tried, and shoots with several leaves
 _IDLE: Final = 3  # chosen: after so many passes in a row without any motion, others rarely find one
 
 
@@ -100,6 +100,7 @@ class LeafSolver:
         self._fine = CoarseTriangles(self._organs, self._examined)
         self._rough = CoarseTriangles(self._organs, self._examined, ROUGH)
         self._exact = _Judge(self._fine, CLEARANCE, _PER_CROSSING)
+        self._certain = _Judge(self._rough, 0.0, _PER_ROUGH_CROSSING)
         self._early = _Judge(self._rough, _LARGE_CLEARANCE, _PER_ROUGH_CROSSING)
         self._late = _Judge(self._rough, _ROUGH_CLEARANCE, _PER_ROUGH_CROSSING)
         self._pairs = np.empty((0, 2), dtype=np.intp)
@@ -229,7 +230,13 @@ class LeafSolver:
             np.add.at(cost, (unit[rows], step[rows]), _pair_cost(crossing, judge.per_crossing))
 
         first = crossed[unit, other]
-        examine(np.flatnonzero(first), self._early if number < _LARGE_UNITS else self._exact)
+        if number < _LARGE_UNITS:
+            examine(np.flatnonzero(first), self._early)
+        else:
+            # Where even rough triangles cross, fine ones need not be compared.
+            rows = np.flatnonzero(first)
+            examine(rows, self._certain)
+            examine(rows[(cost <= effort)[unit[rows], step[rows]]], self._exact)
         waiting = np.flatnonzero(~first)
         promising = cost < limit
         promising[:, 0] = False
@@ -280,18 +287,20 @@ class LeafSolver:
         order = np.argsort(cost, axis=1, kind="stable")[:, :_EXAMINED]
         gain = cost[:, :1] - np.take_along_axis(cost, order, axis=1)
         better = gain > _MIN_GAIN
-        rows = np.flatnonzero(better.any(axis=1))
-        if not len(rows):
-            return rows, rows, np.empty(0)
-        steps = np.concatenate([np.zeros((len(rows), 1), dtype=np.intp), order[rows]], axis=1)
-        transforms = poses.transforms.select((rows[:, None], steps))
-        units = [poses.units[row] for row in rows.tolist()]
         rules = PairRules(self._detector, hard=True)
-        contact = ContactCosts(rules, units, transforms).cost(np.arange(len(rows)), transforms, 1)
-        free = (contact[:, 1:] <= contact[:, :1]) & better[rows]
-        kept = np.flatnonzero(free.any(axis=1))
-        first = free[kept].argmax(axis=1)
-        return rows[kept], order[rows[kept], first], gain[rows[kept], first]
+        found = np.full(len(poses.units), -1)
+        # The best pose of each unit first, the next only where that is not free.
+        for place in range(order.shape[1]):
+            rows = np.flatnonzero(better[:, place] & (found < 0))
+            if not len(rows):
+                break
+            steps = np.stack([np.zeros(len(rows), dtype=np.intp), order[rows, place]], axis=1)
+            transforms = poses.transforms.select((rows[:, None], steps))
+            units = [poses.units[row] for row in rows.tolist()]
+            contact = ContactCosts(rules, units, transforms).cost(np.arange(len(rows)), transforms, 1)
+            found[rows[contact[:, 1] <= contact[:, 0]]] = place
+        rows = np.flatnonzero(found >= 0)
+        return rows, order[rows, found[rows]], gain[rows, found[rows]]
 
     def _clashes(self, poses: _Poses, unit: IndexArray, pose: IndexArray) -> dict[int, list[int]]:
         """For some units in new poses, by position, those that cross each other there or share organs."""

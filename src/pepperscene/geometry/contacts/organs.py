@@ -106,7 +106,7 @@ class Organs:
         self.all_patches, self._used = Patches.empty(0), 0
         self.patch_first = np.zeros(len(self.parent), dtype=np.intp)
         self.patch_count = np.full(len(self.parent), -1)
-        self._feet: dict[int, FloatArray] = {}
+        self._feet = np.full((len(self.parent), 3), np.nan)  # at the original pose, on first use
 
     def __len__(self) -> int:
         return len(self.parent)
@@ -167,17 +167,17 @@ class Organs:
         owner = np.repeat(np.arange(len(faces)), [len(group) for group in faces])
         return self.mesh.vertices[np.concatenate(faces)], owner
 
-    def foot(self, organ: int) -> FloatArray:
-        """`(3,)` current start of an organ: the mean of its vertices with the smallest v."""
-        if organ not in self._feet:
+    def feet(self, organs: IndexArray) -> FloatArray:
+        """`(n, 3)` current starts of organs: the means of their vertices with the smallest v."""
+        for organ in organs[np.isnan(self._feet[organs, 0])].tolist():
             v = self.vertex_v(organ)
             base = self.original_vertices(organ)[v <= v.min() + 1e-6]
             self._feet[organ] = base.mean(axis=0, dtype=np.float64)
-        return np.asarray(self.rotation[organ] @ self._feet[organ] + self.shift[organ])
+        return np.einsum("nij,nj->ni", self.rotation[organs], self._feet[organs]) + self.shift[organs]
 
-    def box_centre(self, organ: int) -> FloatArray:
-        """`(3,)` centre of an organ's current bounding box."""
-        return np.asarray(0.5 * (self.low[organ] + self.high[organ]))
+    def box_centres(self, organs: IndexArray) -> FloatArray:
+        """`(n, 3)` centres of the current bounding boxes of organs."""
+        return np.asarray(0.5 * (self.low[organs] + self.high[organs]))
 
     def sample(self, organs: IndexArray) -> None:
         """Place sample points on those organs that have none; a single call for many is faster."""
@@ -263,6 +263,20 @@ class Organs:
         rows, position = self.vertices_of(others)
         points = _transform(self.mesh.vertices[rows].T, self.rotation[others], self.shift[others], position)
         self._set_boxes(others, points, np.flatnonzero(np.diff(position, prepend=-1)))
+
+    def boxes_after(
+        self, organs: IndexArray, rotation: FloatArray, shift: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """`(m, 3)` corners of the boxes that solid organs will have after a move by transforms."""
+        rows, position = self.vertices_of(organs)
+        rotation, shift = (
+            np.matmul(rotation, self.rotation[organs]),
+            np.matmul(rotation, self.shift[organs][:, :, None])[:, :, 0] + shift,
+        )
+        points = _transform(self.mesh.vertices[rows].T, rotation, shift, position)
+        starts = np.flatnonzero(np.diff(position, prepend=-1))
+        low = np.stack([np.minimum.reduceat(axis, starts) for axis in points], axis=1)
+        return low, np.stack([np.maximum.reduceat(axis, starts) for axis in points], axis=1)
 
     def _set_boxes(self, organs: IndexArray, points: SingleArray, starts: IndexArray) -> None:
         """Set the boxes of organs to those of their points `(3, p)`, which start at some positions."""

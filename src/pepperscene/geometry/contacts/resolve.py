@@ -12,7 +12,6 @@ from pepperscene.geometry.contacts.cost import (
     ContactCosts,
     Poses,
     remaining_cost,
-    swept_boxes,
     weighted_effort,
 )
 from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
@@ -212,31 +211,41 @@ class ContactSolver:
         Returns:
             The contacts that must wait.
         """
-        organs, first_move = self.organs, self.organs.moves
-        waiting = []
+        if not best:
+            return contacts[:0]
+        organs, is_fruit = self.organs, self.organs.organ_class == FRUIT
+        units = list({unit.root: unit for unit in best.values()}.values())
+        row_of_root = {unit.root: row for row, unit in enumerate(units)}
+        change = np.array([angles[unit.root] - self._angles[unit.root] for unit in units])
+        transforms = find_joints(organs, units).transforms(change[:, None])
+        owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
+        members = np.concatenate([np.array(unit.members) for unit in units])
+        solid = organs.solid[members]
+        owner, members = owner[solid], members[solid]
+        low, high = organs.boxes_after(members, transforms.rotation[owner, 0], transforms.shift[owner, 0])
+        first = np.searchsorted(owner, np.arange(len(units) + 1))
+        has_moved, moved_rows = np.zeros(len(organs), dtype=bool), np.empty(0, dtype=np.intp)
+        waiting, moved_units = [], []
         for place, unit in best.items():
-            members = np.array(unit.members)
-            moved = np.flatnonzero(organs.moved_at > first_move)
-            if len(moved) and (
-                np.any(organs.moved_at[contacts[place]] > first_move)
-                or np.any(organs.moved_at[members] > first_move)
-                or self._comes_near(unit, angles[unit.root], moved)
-            ):
-                waiting.append(place)
-            else:
-                self._move([unit], angles[unit.root][None])
+            row = row_of_root[unit.root]
+            rows = np.arange(first[row], first[row + 1])
+            if moved_units:
+                near = boxes_overlap(
+                    low[moved_rows], high[moved_rows], low[rows][:, None] - NEAR, high[rows][:, None] + NEAR
+                )
+                near &= is_fruit[members[rows]][:, None] | is_fruit[members[moved_rows]]
+                if (
+                    near.any()
+                    or np.any(has_moved[contacts[place]])
+                    or np.any(has_moved[np.array(unit.members)])
+                ):
+                    waiting.append(place)
+                    continue
+            moved_rows = np.append(moved_rows, rows)
+            has_moved[list(unit.members)] = True
+            moved_units.append(unit)
+        self._move(moved_units, np.array([angles[unit.root] for unit in moved_units]))
         return contacts[waiting]
-
-    def _comes_near(self, unit: MovableUnit, angles: FloatArray, others: IndexArray) -> bool:
-        """Whether the boxes of a unit's organs would come near to others, one of the two being fruit."""
-        organs, members = self.organs, np.array(unit.members)
-        members, others = members[organs.solid[members]], others[organs.solid[others]]
-        transforms = find_joints(organs, [unit]).transforms((angles - self._angles[unit.root])[None, None])
-        low, high = swept_boxes(organs, members, np.zeros(len(members), dtype=np.intp), transforms)
-        low, high = low[:, None] - NEAR, high[:, None] + NEAR
-        near = boxes_overlap(organs.low[others], organs.high[others], low, high)
-        fruit = organs.organ_class == FRUIT
-        return bool(np.any(near & (fruit[members][:, None] | fruit[others])))
 
     def _move(self, units: Sequence[MovableUnit], angles: FloatArray) -> None:
         """Move units that have no organs in common to some angles, `(u, 2)`."""
