@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.coarse import FINE, Resolution, coarse_faces
+from pepperscene.geometry.contacts.coarse import ALL, FINE, Resolution, coarse_faces
 from pepperscene.geometry.contacts.organs import Organs
 from pepperscene.geometry.contacts.patches import expand_counts
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
@@ -28,13 +28,27 @@ class CoarseTriangles:
 
     def __init__(self, organs: Organs, chosen: IndexArray, resolution: Resolution = FINE) -> None:
         self._organs, self._seen = organs, 0
-        vertices, faces = _choose_triangles(organs, chosen, resolution)
-        self._vertices, self._faces = (_Runs(len(organs), chosen, parts) for parts in (vertices, faces))
-        empty = np.empty(0, dtype=np.intp)
-        rest = organs.mesh.vertices[np.concatenate([empty, *vertices])]
-        self._rest = np.ascontiguousarray(rest.T)
+        if resolution is ALL and organs.is_contiguous:
+            rows, position = organs.vertices_of(chosen)
+            face_rows, face_position = organs.faces_of(chosen)
+            counts = (
+                np.bincount(position, minlength=len(chosen)),
+                np.bincount(face_position, minlength=len(chosen)),
+            )
+            starts = np.flatnonzero(np.diff(position, prepend=-1))
+            corners = organs.mesh.faces[face_rows].astype(np.intp) - rows[starts][face_position][:, None]
+        else:
+            vertices, faces = _choose_triangles(organs, chosen, resolution)
+            empty = np.empty(0, dtype=np.intp)
+            rows = np.concatenate([empty, *vertices])
+            corners = np.concatenate([empty.reshape(0, 3), *faces])
+            counts = (
+                np.array([len(part) for part in vertices], dtype=np.intp),
+                np.array([len(part) for part in faces], dtype=np.intp),
+            )
+        self._vertices, self._faces = (_Runs(len(organs), chosen, count) for count in counts)
+        self._rest = np.ascontiguousarray(organs.mesh.vertices[rows].T)
         self._points = self._rest.copy()
-        corners = np.concatenate([empty.reshape(0, 3), *faces])
         first = np.repeat(self._vertices.first[chosen], self._faces.count[chosen])
         self._corners = np.ascontiguousarray((corners + first[:, None]).T)
         self.update()
@@ -65,6 +79,8 @@ class CoarseTriangles:
         entry: IndexArray,
         other: IndexArray,
         clearance: float = CLEARANCE,
+        *,
+        by_boxes: bool = False,
     ) -> IndexArray:
         """Count pairs of triangles that cross or are closer than the clearance.
 
@@ -75,6 +91,7 @@ class CoarseTriangles:
             entry: `(n,)` index of the first organ of each pair among these.
             other: `(n,)` second organ of each pair, which stays.
             clearance: metres.
+            by_boxes: count pairs whose bounding boxes are closer than the clearance.
 
         Returns:
             `(n,)` numbers of pairs of triangles.
@@ -127,7 +144,12 @@ class CoarseTriangles:
                 start[done:end],
                 (stop - start)[done:end],
             )
-            a, b, pair = block.take(row), theirs.take(column), own_pair[done:end].take(row)
+            pair = own_pair[done:end].take(row)
+            if by_boxes:
+                result += np.bincount(pair, minlength=len(result))
+                done = end
+                continue
+            a, b = block.take(row), theirs.take(column)
             one, a = _used_planes(points, corners, a)
             two, b = _used_planes(self._points, other_corners, b)
             crossing = crossing_triangles(one, a, two, b, clearance)
@@ -164,9 +186,8 @@ def _choose_triangles(
 class _Runs:
     """Items of organs, one organ after another."""
 
-    def __init__(self, organs: int, chosen: IndexArray, parts: list[IndexArray]) -> None:
+    def __init__(self, organs: int, chosen: IndexArray, count: IndexArray) -> None:
         self.first, self.count = np.zeros((2, organs), dtype=np.intp)
-        count = np.array([len(part) for part in parts], dtype=np.intp)
         self.first[chosen], self.count[chosen] = np.cumsum(count) - count, count
 
     def of(self, organs: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -175,6 +175,10 @@ class Organs:
             self._feet[organ] = base.mean(axis=0, dtype=np.float64)
         return np.einsum("nij,nj->ni", self.rotation[organs], self._feet[organs]) + self.shift[organs]
 
+    def extent(self, organ: int) -> float:
+        """Longest side of an organ's bounding box before all moves, metres."""
+        return float(self._original_extent[organ])
+
     def box_centres(self, organs: IndexArray) -> FloatArray:
         """`(n, 3)` centres of the current bounding boxes of organs."""
         return np.asarray(0.5 * (self.low[organs] + self.high[organs]))

@@ -14,6 +14,7 @@ from pepperscene.geometry.contacts.cost import (
     remaining_cost,
     weighted_effort,
 )
+from pepperscene.geometry.contacts.depth import deep_pairs, superfluous_leaves
 from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
 from pepperscene.geometry.contacts.joints import (
     JointRotation,
@@ -70,6 +71,7 @@ class ContactSolver:
     def __init__(self, detector: ContactDetector, rng: np.random.Generator) -> None:
         self.detector, self.organs = detector, detector.organs
         self.motions: list[JointRotation] = []
+        self.touching = np.empty((0, 2), dtype=np.intp)  # leaves and others, after `free_leaves`
         self._rng = rng
         self._angles = np.zeros((len(self.organs), 2))
         self._units: dict[int, list[MovableUnit]] = {}
@@ -87,7 +89,16 @@ class ContactSolver:
 
     def free_leaves(self, passes: int) -> None:
         """Rotate leaves and shoots that cross each other."""
-        LeafSolver(self.detector, self._angles, self._move, self._units_of).run(passes, self._rng)
+        solver = LeafSolver(self.detector, self._angles, self._move, self._units_of)
+        solver.run(passes, self._rng)
+        if passes:
+            self.touching = solver.run_last(self._rng)
+
+    def leave_out_leaves(self) -> IndexArray:
+        """Leave out leaves that are still deep in others; return their organs."""
+        organs = superfluous_leaves(self.organs, deep_pairs(self.organs, self.touching))
+        self.detector.leave_out(organs)
+        return organs
 
     def _find_contacts(self) -> IndexArray:
         """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through."""
@@ -225,7 +236,8 @@ class ContactSolver:
         low, high = organs.boxes_after(members, transforms.rotation[owner, 0], transforms.shift[owner, 0])
         first = np.searchsorted(owner, np.arange(len(units) + 1))
         has_moved, moved_rows = np.zeros(len(organs), dtype=bool), np.empty(0, dtype=np.intp)
-        waiting, moved_units = [], []
+        waiting: list[int] = []
+        moved_units: list[MovableUnit] = []
         for place, unit in best.items():
             row = row_of_root[unit.root]
             rows = np.arange(first[row], first[row + 1])
@@ -275,14 +287,16 @@ class ResolvedMesh:
     """A mesh after its contacts have been resolved.
 
     Attributes:
-        mesh: the same triangles, some of them moved.
+        mesh: the same triangles, some of them moved, without those of the organs left out.
         motions: the rotations made, in order; each pivot refers to the mesh before that rotation.
         contacts: those that remain.
+        left_out: organs that have no triangles any more; they keep their numbers.
     """
 
     mesh: Mesh
     motions: tuple[JointRotation, ...]
     contacts: ContactCounts
+    left_out: tuple[int, ...] = ()
 
 
 def resolve_contacts(
@@ -304,7 +318,8 @@ def resolve_contacts(
         rng: for the candidate poses.
         between_plants: resolve only contacts between different plants (`Instance.plant`), taking those within
             each plant as resolved; none of those gets worse. Leaves that cross others of their own plant are
-            tried too.
+            tried too. A leaf that stays millimetres deep in another is left out, as if a grower had cut it:
+            less than one of a hundred.
         rounds: maximum number of attempts to resolve all that still touches.
         free_leaves: also rotate leaves that cross each other, after all other contacts.
 
@@ -318,5 +333,8 @@ def resolve_contacts(
     # Between plants, a single one has nothing to resolve: it stays the plant that is grown alone.
     if free_leaves and (not between_plants or len({item.plant for item in mesh.instances}) > 1):
         solver.free_leaves(min(rounds, PASSES))
+    left_out = solver.leave_out_leaves() if between_plants else np.empty(0, dtype=np.intp)
     counts = current_counts(solver.detector)
-    return ResolvedMesh(solver.organs.current_mesh(), tuple(solver.motions), counts)
+    moved = solver.organs.current_mesh()
+    result = moved.without_triangles(left_out) if len(left_out) else moved
+    return ResolvedMesh(result, tuple(solver.motions), counts, tuple(left_out.tolist()))
