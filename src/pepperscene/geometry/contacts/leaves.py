@@ -42,6 +42,7 @@ _LAST_PASSES: Final = 4  # chosen: with all triangles
 _LAST_POSES: Final = 10  # chosen
 _LAST_REACH: Final = 1.6  # chosen: of the limits of rotations, where a leaf is not free within these
 _LAST: Final = 99  # number of the first of these passes
+_NEAR: Final = 2e-3  # m, chosen: all triangles are compared where boxes of fine ones are closer than this
 _IDLE: Final = 3  # chosen: after so many passes in a row without any motion, others rarely find one
 
 
@@ -157,7 +158,7 @@ class LeafSolver:
         one, two = key // len(organs), key % len(organs)
         distinct, entry = np.unique(one, return_inverse=True)
         still = np.tile(np.eye(3), (len(distinct), 1, 1)), np.zeros((len(distinct), 3))
-        number = self._fine.count(distinct, *still, entry, two, 0.0 if last else CLEARANCE, by_boxes=last)
+        number = self._fine.count(distinct, *still, entry, two, _NEAR if last else CLEARANCE, by_boxes=last)
         if last:
             near = np.flatnonzero(number)
             one, two = one[near], two[near]
