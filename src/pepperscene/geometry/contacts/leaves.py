@@ -42,7 +42,7 @@ _LAST_PASSES: Final = 4  # chosen: with all triangles
 _LAST_POSES: Final = 10  # chosen
 _LAST_REACH: Final = 1.6  # chosen: of the limits of rotations, where a leaf is not free within these
 _LAST: Final = 99  # number of the first of these passes
-_NEAR: Final = 2e-3  # m, chosen: all triangles are compared where boxes of fine ones are closer than this
+_NEAR: Final = 1e-3  # m, chosen: all triangles are compared where boxes of fine ones are closer than this
 _IDLE: Final = 3  # chosen: after so many passes in a row without any motion, others rarely find one
 
 
