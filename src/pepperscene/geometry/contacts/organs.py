@@ -50,18 +50,27 @@ def overlapping_boxes(
     if not len(low) or not len(other_low):
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     # Sweep along the longest axis: compare a block of neighbours with the others in the same range only.
-    axis = int((other_high.max(axis=0) - other_low.min(axis=0)).argmax())
-    order = np.argsort(low[:, axis], kind="stable")
+    # The second longest axis comes first, as it leaves few pairs.
+    axes = np.argsort(other_low.min(axis=0) - other_high.max(axis=0))
+    a, b, c = (tuple(np.ascontiguousarray(side[:, axis]) for side in (low, high)) for axis in axes)
+    d, e, f = (
+        tuple(np.ascontiguousarray(side[:, axis]) for side in (other_low, other_high)) for axis in axes
+    )
+    order = np.argsort(a[0], kind="stable")
     found = []
     for start in range(0, len(order), _BLOCK):
         block = order[start : start + _BLOCK]
-        first, last = low[block], high[block]
-        near = np.flatnonzero(
-            (other_low[:, axis] < last[:, axis].max()) & (other_high[:, axis] > first[:, axis].min())
-        )
-        overlap = boxes_overlap(first[:, None], last[:, None], other_low[near], other_high[near])
+        near = np.flatnonzero((d[0] < a[1][block].max()) & (d[1] > a[0][block].min()))
+        overlap = b[0][block][:, None] < e[1][near]
+        overlap &= b[1][block][:, None] > e[0][near]
         row, column = np.divmod(np.flatnonzero(overlap), max(len(near), 1))
-        found.append(block[row] * len(other_low) + near[column])
+        row, column = block[row], near[column]
+        for own, others in ((a, d), (c, f)):
+            kept = np.flatnonzero(
+                (own[0].take(row) < others[1].take(column)) & (own[1].take(row) > others[0].take(column))
+            )
+            row, column = row.take(kept), column.take(kept)
+        found.append(row * len(other_low) + column)
     row, column = np.divmod(np.sort(np.concatenate(found)), len(other_low))
     return row, column
 
