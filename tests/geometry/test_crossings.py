@@ -81,7 +81,7 @@ def test_counts_equal_those_of_all_pairs_of_triangles(
     axis = rng.normal(size=(len(one), 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     rotation = rotations(axis, rng.uniform(0.0, np.radians(20.0), (len(one), 1)))[:, 0]
-    centre = np.array([organs.box_centre(organ) for organ in one.tolist()])
+    centre = organs.box_centres(one)
     shift = centre - np.einsum("nij,nj->ni", rotation, centre)
     ours = triangles.count(one, rotation, shift, np.arange(len(one)), two, clearance)
     corners = corners_of(organs, chosen, resolution)

@@ -62,11 +62,13 @@ def of_class(mesh: Mesh, *classes: OrganClass) -> list[int]:
 
 
 def manager(mesh: Mesh, organs: Iterable[int]) -> CollisionManager:
-    """FCL's bodies of some organs, named by their index."""
+    """FCL's bodies of those of some organs that have triangles, named by their index."""
     result = CollisionManager()
     order = np.argsort(mesh.face_instance, kind="stable")
     first = np.searchsorted(mesh.face_instance[order], np.arange(len(mesh.instances) + 1))
     for organ in organs:
+        if first[organ] == first[organ + 1]:
+            continue
         used, faces = np.unique(mesh.faces[order[first[organ] : first[organ + 1]]], return_inverse=True)
         vertices = mesh.vertices[used].astype(float)
         result.add_object(str(organ), trimesh.Trimesh(vertices, faces.reshape(-1, 3), process=False))

@@ -189,6 +189,26 @@ class Mesh:
             appearances=tuple(self.appearances[index] for index in appearances),
         )
 
+    def without_triangles(self, instances: IndexArray) -> Mesh:
+        """Return the mesh without the triangles of some instances; all instances keep their numbers."""
+        gone = np.zeros(len(self.instances), dtype=bool)
+        gone[instances] = True
+        kept = ~gone[self.face_instance]
+        faces = self.faces[kept]
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[faces] = True
+        return replace(
+            self,
+            vertices=self.vertices[used],
+            normals=self.normals[used],
+            uv=self.uv[used],
+            state=self.state[used],
+            faces=(np.cumsum(used) - 1).astype(np.uint32)[faces],
+            face_instance=self.face_instance[kept],
+            face_surface=self.face_surface[kept],
+            face_appearance=self.face_appearance[kept],
+        )
+
     def with_plant(self, plant: int) -> Mesh:
         """Return the mesh with all its instances assigned to a plant of a scene, by its number."""
         return replace(

@@ -109,6 +109,7 @@ def grow_plant_at(
     detail: float = 1.0,
     lean_rad: float = 0.0,
     add_support: Callable[[Plant, Mesh], Mesh] | None = None,
+    free_leaves: bool = True,
 ) -> GrownPlant:
     """Grow the plant at an address of a data set; it depends on nothing else.
 
@@ -119,6 +120,7 @@ def grow_plant_at(
         detail: fineness of the mesh.
         lean_rad: towards the plant's aisle, -y.
         add_support: adds the twine that holds the plant; organs are then moved off it.
+        free_leaves: rotate leaves that cross each other; not needed where the row does so for all plants.
     """
     from pepperscene.geometry import mesh_plant, move_plant, resolve_contacts
     from pepperscene.grammar import grow
@@ -126,7 +128,8 @@ def grow_plant_at(
     plant = grow(cultivar, random_generator(seed, Stream.PLANT, *address), lean=lean_rad)
     mesh = mesh_plant(plant, detail)
     supported = mesh if add_support is None else add_support(plant, mesh)
-    resolved = resolve_contacts(supported, random_generator(seed, Stream.SETTLE, *address))
+    rng = random_generator(seed, Stream.SETTLE, *address)
+    resolved = resolve_contacts(supported, rng, free_leaves=free_leaves)
     return GrownPlant(move_plant(plant, resolved.motions), resolved.mesh, resolved.contacts)
 
 
@@ -139,8 +142,11 @@ class PlantFactory:
     greenhouse: Greenhouse
     twine: TwineTable | None
 
-    def plant(self, set_index: int, number: int) -> PlacedPlant:
-        """Make one plant of a set."""
+    def plant(self, set_index: int, number: int, *, free_leaves: bool = False) -> PlacedPlant:
+        """Make one plant of a set.
+
+        Its leaves may cross each other: they are rotated once, with those of the row, unless `free_leaves`.
+        """
         from pepperscene.scene import draw_posture
 
         posture = draw_posture(
@@ -152,7 +158,13 @@ class PlantFactory:
             return self._with_twine(plant, mesh, posture, rng)
 
         grown = grow_plant_at(
-            self.cultivar, self.seed, set_index, number, lean_rad=posture.lean_rad, add_support=add_support
+            self.cultivar,
+            self.seed,
+            set_index,
+            number,
+            lean_rad=posture.lean_rad,
+            add_support=add_support,
+            free_leaves=free_leaves,
         )
         return PlacedPlant(grown.plant, grown.mesh, grown.contacts, posture)
 

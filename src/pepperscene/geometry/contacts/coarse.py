@@ -29,6 +29,9 @@ FINE: Final = Resolution(9, 5, 7, 4, 64)
 ROUGH: Final = Resolution(4, 3, 4, 3, 24)
 """Chosen: rows 28 mm apart on a blade, a fifth of the triangles; compares candidate poses."""
 
+ALL: Final = Resolution(0, 0, 0, 0, 2**31)
+"""All triangles of the mesh; decides what touches at last."""
+
 
 def coarse_faces(uv: SingleArray, organ_class: int, resolution: Resolution) -> IndexArray:
     """Choose `(f, 3)` triangles on some vertices of an organ with surface coordinates `(v, 2)`."""

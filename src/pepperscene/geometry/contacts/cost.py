@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry.contacts.detect import NEAR
 from pepperscene.geometry.contacts.joints import Joints, MovableUnit, RigidTransforms
-from pepperscene.geometry.contacts.organs import FRUIT, LEAF, Organs, boxes_overlap
+from pepperscene.geometry.contacts.organs import FRUIT, LEAF, Organs, boxes_overlap, overlapping_boxes
 from pepperscene.geometry.contacts.pairs import PER_MM, PairRules
 from pepperscene.geometry.contacts.patches import expand_counts
 from pepperscene.geometry.mesh import FloatArray, IndexArray
@@ -82,8 +82,9 @@ class ContactCosts:
         lowest, highest = np.full((len(units), 3), np.inf), np.full((len(units), 3), -np.inf)
         np.minimum.at(lowest, unit, low)
         np.maximum.at(highest, unit, high)
-        close = boxes_overlap(organs.low, organs.high, lowest[:, None], highest[:, None])
-        near_unit, near = np.nonzero(close & organs.solid & ~inside)
+        near_unit, near = overlapping_boxes(lowest, highest, organs.low, organs.high)
+        kept = organs.solid[near] & ~inside[near_unit, near]
+        near_unit, near = near_unit[kept], near[kept]
 
         def overlapping(
             rows: NDArray[np.bool_], columns: NDArray[np.bool_]

@@ -12,12 +12,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.coarse import FINE, Resolution, coarse_faces
-from pepperscene.geometry.contacts.organs import Organs
+from pepperscene.geometry.contacts.coarse import ALL, FINE, Resolution, coarse_faces
+from pepperscene.geometry.contacts.organs import LEAF, Organs
 from pepperscene.geometry.contacts.patches import expand_counts
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
 _BLOCK: Final = 1 << 18  # pairs of boxes compared at a time, chosen: they fit into a cache
+
+_TYPICAL: Final = 32  # blades, chosen: enough for a median
 
 CLEARANCE: Final = 1.5e-3
 """Metres, chosen: triangles closer than this cross, as fine ones may between the vertices of coarse ones."""
@@ -28,13 +30,27 @@ class CoarseTriangles:
 
     def __init__(self, organs: Organs, chosen: IndexArray, resolution: Resolution = FINE) -> None:
         self._organs, self._seen = organs, 0
-        vertices, faces = _choose_triangles(organs, chosen, resolution)
-        self._vertices, self._faces = (_Runs(len(organs), chosen, parts) for parts in (vertices, faces))
-        empty = np.empty(0, dtype=np.intp)
-        rest = organs.mesh.vertices[np.concatenate([empty, *vertices])]
-        self._rest = np.ascontiguousarray(rest.T)
+        if resolution is ALL and organs.is_contiguous:
+            rows, position = organs.vertices_of(chosen)
+            face_rows, face_position = organs.faces_of(chosen)
+            counts = (
+                np.bincount(position, minlength=len(chosen)),
+                np.bincount(face_position, minlength=len(chosen)),
+            )
+            starts = np.flatnonzero(np.diff(position, prepend=-1))
+            corners = organs.mesh.faces[face_rows].astype(np.intp) - rows[starts][face_position][:, None]
+        else:
+            vertices, faces = _choose_triangles(organs, chosen, resolution)
+            empty = np.empty(0, dtype=np.intp)
+            rows = np.concatenate([empty, *vertices])
+            corners = np.concatenate([empty.reshape(0, 3), *faces])
+            counts = (
+                np.array([len(part) for part in vertices], dtype=np.intp),
+                np.array([len(part) for part in faces], dtype=np.intp),
+            )
+        self._vertices, self._faces = (_Runs(len(organs), chosen, count) for count in counts)
+        self._rest = np.ascontiguousarray(organs.mesh.vertices[rows].T)
         self._points = self._rest.copy()
-        corners = np.concatenate([empty.reshape(0, 3), *faces])
         first = np.repeat(self._vertices.first[chosen], self._faces.count[chosen])
         self._corners = np.ascontiguousarray((corners + first[:, None]).T)
         self.update()
@@ -65,6 +81,8 @@ class CoarseTriangles:
         entry: IndexArray,
         other: IndexArray,
         clearance: float = CLEARANCE,
+        *,
+        by_boxes: bool = False,
     ) -> IndexArray:
         """Count pairs of triangles that cross or are closer than the clearance.
 
@@ -75,6 +93,7 @@ class CoarseTriangles:
             entry: `(n,)` index of the first organ of each pair among these.
             other: `(n,)` second organ of each pair, which stays.
             clearance: metres.
+            by_boxes: count pairs whose bounding boxes are closer than the clearance.
 
         Returns:
             `(n,)` numbers of pairs of triangles.
@@ -127,7 +146,12 @@ class CoarseTriangles:
                 start[done:end],
                 (stop - start)[done:end],
             )
-            a, b, pair = block.take(row), theirs.take(column), own_pair[done:end].take(row)
+            pair = own_pair[done:end].take(row)
+            if by_boxes:
+                result += np.bincount(pair, minlength=len(result))
+                done = end
+                continue
+            a, b = block.take(row), theirs.take(column)
             one, a = _used_planes(points, corners, a)
             two, b = _used_planes(self._points, other_corners, b)
             crossing = crossing_triangles(one, a, two, b, clearance)
@@ -140,15 +164,19 @@ def _choose_triangles(
     organs: Organs, chosen: IndexArray, resolution: Resolution
 ) -> tuple[list[IndexArray], list[IndexArray]]:
     """Vertices of each organ in the mesh, and the corners of its coarse triangles among these."""
+    groups: dict[tuple[int, int], list[int]] = {}
+    keys = [(int(organs.organ_class[organ]), len(organs.faces(organ))) for organ in chosen.tolist()]
+    for organ, key in zip(chosen.tolist(), keys, strict=True):
+        groups.setdefault(key, []).append(organ)
     layouts: dict[tuple[int, int], tuple[IndexArray, IndexArray]] = {}
     vertices, faces = [], []
-    for organ in chosen.tolist():
+    for organ, key in zip(chosen.tolist(), keys, strict=True):
         rows, own = organs.vertex_rows(organ), organs.faces(organ)
         if len(own) > resolution.few:
             # Organs of one form share their grid, and so the coarse triangles.
-            key = int(organs.organ_class[organ]), len(own)
             if key not in layouts or not isinstance(rows, slice):
-                coarse = coarse_faces(organs.vertex_uv(organ), key[0], resolution)
+                group = groups[key] if isinstance(rows, slice) else [organ]
+                coarse = coarse_faces(_typical_uv(organs, group), key[0], resolution)
                 layouts[key] = np.unique(coarse, return_inverse=True)
             used, corners = layouts[key]
             used = used + rows.start if isinstance(rows, slice) else rows[used]
@@ -161,12 +189,19 @@ def _choose_triangles(
     return vertices, faces
 
 
+def _typical_uv(organs: Organs, group: list[int]) -> SingleArray:
+    """`(v, 2)` surface coordinates of an ordinary organ of a group: old blades have lost parts of theirs."""
+    if organs.organ_class[group[0]] != LEAF:
+        return organs.vertex_uv(group[0])
+    some = group[:: -(-len(group) // _TYPICAL)]
+    return np.asarray(np.median([organs.vertex_uv(organ) for organ in some], axis=0), dtype=np.float32)
+
+
 class _Runs:
     """Items of organs, one organ after another."""
 
-    def __init__(self, organs: int, chosen: IndexArray, parts: list[IndexArray]) -> None:
+    def __init__(self, organs: int, chosen: IndexArray, count: IndexArray) -> None:
         self.first, self.count = np.zeros((2, organs), dtype=np.intp)
-        count = np.array([len(part) for part in parts], dtype=np.intp)
         self.first[chosen], self.count[chosen] = np.cumsum(count) - count, count
 
     def of(self, organs: IndexArray) -> tuple[IndexArray, IndexArray]:

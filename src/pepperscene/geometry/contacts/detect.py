@@ -66,6 +66,14 @@ class ContactDetector:
         empty = ContactPairs(none, none, np.empty(0, dtype=np.float32))
         self._known, self._known_at = dict.fromkeys((FRUIT, LEAF), empty), dict.fromkeys((FRUIT, LEAF), -1)
 
+    def leave_out(self, organs: IndexArray) -> None:
+        """Ignore some organs from now on."""
+        self.organs.solid[organs] = False
+        self.blades = self.blades[self.organs.solid[self.blades]]
+        for kind, known in self._known.items():
+            kept = self.organs.solid[known.organ] & self.organs.solid[known.other]
+            self._known[kind] = ContactPairs(known.organ[kept], known.other[kept], known.depth[kept])
+
     def are_joined(self, organs: IndexArray, others: IndexArray) -> NDArray[np.bool_]:
         """`(n,)` whether two organs belong together and may touch.
 

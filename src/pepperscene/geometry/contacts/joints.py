@@ -154,18 +154,19 @@ def find_joints(organs: Organs, units: Sequence[MovableUnit]) -> Joints:
     A unit on a stem moves around the vertical through the centre of its node; so it keeps its inclination,
     and its foot stays in the node. Other units rotate about their foot, across their own direction.
     """
-    joints = np.empty((4, len(units), 3))
-    for row, unit in enumerate(units):
-        foot, axis = organs.foot(unit.root), np.array([0.0, 0.0, 1.0])
-        pivot = organs.box_centre(int(organs.parent[unit.root])) if unit.on_stem else foot
-        out = foot - pivot if unit.on_stem else organs.box_centre(unit.root) - foot
-        level = np.hypot(out[0], out[1])
-        across = np.array([out[1], -out[0], 0.0]) / level if level > 1e-9 else np.array([1.0, 0.0, 0.0])
-        if not unit.on_stem and np.any(out):
-            axis = cross(across, out)
-            axis /= np.sqrt(axis @ axis)
-        joints[:, row] = foot, across, pivot, axis
-    return Joints(*joints)
+    roots = np.array([unit.root for unit in units], dtype=np.intp)
+    on_stem = np.array([unit.on_stem for unit in units], dtype=bool)[:, None]
+    foot = organs.feet(roots)
+    pivot = np.where(on_stem, organs.box_centres(organs.parent[roots]), foot)
+    out = np.where(on_stem, foot - pivot, organs.box_centres(roots) - foot)
+    level = np.hypot(out[:, 0], out[:, 1])[:, None]
+    across = np.stack([out[:, 1], -out[:, 0], np.zeros(len(out))], axis=1)
+    across = np.where(level > 1e-9, across / np.maximum(level, 1e-9), [1.0, 0.0, 0.0])
+    axis = cross(across, out)
+    length = np.sqrt(np.einsum("ui,ui->u", axis, axis))[:, None]
+    is_vertical = on_stem | (length == 0.0)
+    axis = np.where(is_vertical, [0.0, 0.0, 1.0], axis / np.where(is_vertical, 1.0, length))
+    return Joints(foot, across, pivot, axis)
 
 
 def rotations(axis: FloatArray, angles: FloatArray) -> FloatArray:

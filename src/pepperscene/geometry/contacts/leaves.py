@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.coarse import ROUGH
+from pepperscene.geometry.contacts.coarse import ALL, ROUGH
 from pepperscene.geometry.contacts.cost import ContactCosts, swept_boxes, weighted_effort
 from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles
 from pepperscene.geometry.contacts.detect import ContactDetector
@@ -26,7 +26,7 @@ from pepperscene.geometry.contacts.organs import (
 from pepperscene.geometry.contacts.pairs import PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 
-PASSES: Final = 16
+PASSES: Final = 8
 """Chosen: later passes free few leaves."""
 
 _POSES: Final = (4, 4, 5, 6, 8, 10, 12, 16)  # chosen: poses tried in each pass, then as in the last
@@ -37,7 +37,12 @@ _LARGE_CLEARANCE: Final = 2.5e-3  # m, chosen: of rough triangles, which are far
 _ROUGH_CLEARANCE: Final = 2.0e-3  # m, chosen: in later passes, as little space is left
 _PER_DEGREE: Final = 0.004  # cost of a weighted degree, chosen: of equally free poses the smallest is used
 _MIN_GAIN: Final = 0.2  # chosen
-_LARGE_UNITS: Final = 6  # chosen: from this pass on both organs are tried, and shoots with several leaves
+_LARGE_UNITS: Final = 3  # chosen: from this pass on both organs are tried, and shoots with several leaves
+_LAST_PASSES: Final = 4  # chosen: with all triangles
+_LAST_POSES: Final = 10  # chosen
+_LAST_REACH: Final = 1.6  # chosen: of the limits of rotations, where a leaf is not free within these
+_LAST: Final = 99  # number of the first of these passes
+_NEAR: Final = 1e-3  # m, chosen: all triangles are compared where boxes of fine ones are closer than this
 _IDLE: Final = 3  # chosen: after so many passes in a row without any motion, others rarely find one
 
 
@@ -100,6 +105,7 @@ class LeafSolver:
         self._fine = CoarseTriangles(self._organs, self._examined)
         self._rough = CoarseTriangles(self._organs, self._examined, ROUGH)
         self._exact = _Judge(self._fine, CLEARANCE, _PER_CROSSING)
+        self._certain = _Judge(self._rough, 0.0, _PER_ROUGH_CROSSING)
         self._early = _Judge(self._rough, _LARGE_CLEARANCE, _PER_ROUGH_CROSSING)
         self._late = _Judge(self._rough, _ROUGH_CLEARANCE, _PER_ROUGH_CROSSING)
         self._pairs = np.empty((0, 2), dtype=np.intp)
@@ -119,8 +125,23 @@ class LeafSolver:
             if number > _LARGE_UNITS and idle == _IDLE:
                 return
 
-    def _detect(self, moved: IndexArray) -> None:
-        """Update the pairs of organs that cross after some have moved."""
+    def run_last(self, rng: np.random.Generator) -> IndexArray:
+        """Try to free leaves that touch others by any of their triangles; return the `(t, 2)` pairs left."""
+        moved = np.arange(len(self._organs))
+        for number in range(_LAST_PASSES + 1):
+            self._detect(moved, last=True)
+            if not len(self._pairs) or number == _LAST_PASSES:
+                break
+            touching = [unit.members for organ in np.unique(self._pairs) for unit in self._units_of(organ)]
+            members = np.unique(np.concatenate([*map(np.array, touching), self._pairs.ravel()]))
+            self._exact = _Judge(CoarseTriangles(self._organs, members, ALL), 0.0, _PER_CROSSING)
+            before = self._organs.moves
+            self._run_pass(_LAST + number, rng.uniform(0.0, 2.0 * np.pi, len(self._organs)))
+            moved = np.flatnonzero(self._organs.moved_at > before)
+        return self._pairs
+
+    def _detect(self, moved: IndexArray, *, last: bool = False) -> None:
+        """Update the pairs of organs that cross after some have moved; at last by all triangles."""
         organs = self._organs
         self._fine.update()
         self._rough.update()
@@ -137,7 +158,14 @@ class LeafSolver:
         one, two = key // len(organs), key % len(organs)
         distinct, entry = np.unique(one, return_inverse=True)
         still = np.tile(np.eye(3), (len(distinct), 1, 1)), np.zeros((len(distinct), 3))
-        number = self._fine.count(distinct, *still, entry, two)
+        number = self._fine.count(distinct, *still, entry, two, _NEAR if last else CLEARANCE, by_boxes=last)
+        if last:
+            near = np.flatnonzero(number)
+            one, two = one[near], two[near]
+            distinct, entry = np.unique(one, return_inverse=True)
+            still = np.tile(np.eye(3), (len(distinct), 1, 1)), np.zeros((len(distinct), 3))
+            triangles = CoarseTriangles(organs, np.union1d(one, two), ALL)
+            number = triangles.count(distinct, *still, entry, two, 0.0)
         crosses = number > 0
         unchanged = ~changed[self._pairs].any(axis=1)
         self._pairs = np.concatenate([self._pairs[unchanged], np.stack([one, two], axis=1)[crosses]])
@@ -148,7 +176,8 @@ class LeafSolver:
         units = self._select_units(number)
         if not units:
             return
-        poses = self._candidate_poses(units, _POSES[min(number, len(_POSES) - 1)], phase)
+        count = _POSES[min(number, len(_POSES) - 1)] if number < _LAST else _LAST_POSES
+        poses = self._candidate_poses(units, count, phase, _LAST_REACH if number >= _LAST else 1.0)
         unit, pose, gain = self._best_poses(poses, self._crossing_cost(poses, number))
         if not len(unit):
             return
@@ -183,10 +212,12 @@ class LeafSolver:
                 units[unit.root] = unit
         return list(units.values())
 
-    def _candidate_poses(self, units: list[MovableUnit], count: int, phase: FloatArray) -> _Poses:
+    def _candidate_poses(
+        self, units: list[MovableUnit], count: int, phase: FloatArray, reach: float = 1.0
+    ) -> _Poses:
         roots = np.array([unit.root for unit in units])
         current, limits = self._angles[roots][:, None], np.array([unit.limits for unit in units])[:, None]
-        angles = np.concatenate([current, limits * disc_points(count, phase[roots])], axis=1)
+        angles = np.concatenate([current, reach * limits * disc_points(count, phase[roots])], axis=1)
         transforms = find_joints(self._organs, units).transforms(angles - current)
         members = np.concatenate([np.array(unit.members) for unit in units])
         owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
@@ -229,7 +260,13 @@ class LeafSolver:
             np.add.at(cost, (unit[rows], step[rows]), _pair_cost(crossing, judge.per_crossing))
 
         first = crossed[unit, other]
-        examine(np.flatnonzero(first), self._early if number < _LARGE_UNITS else self._exact)
+        present = np.flatnonzero(first)
+        if number < _LARGE_UNITS:
+            examine(present, self._early)
+        else:
+            # Where even rough triangles cross, fine ones need not be compared.
+            examine(present, self._certain)
+            examine(present[(cost <= effort)[unit[present], step[present]]], self._exact)
         waiting = np.flatnonzero(~first)
         promising = cost < limit
         promising[:, 0] = False
@@ -280,18 +317,20 @@ class LeafSolver:
         order = np.argsort(cost, axis=1, kind="stable")[:, :_EXAMINED]
         gain = cost[:, :1] - np.take_along_axis(cost, order, axis=1)
         better = gain > _MIN_GAIN
-        rows = np.flatnonzero(better.any(axis=1))
-        if not len(rows):
-            return rows, rows, np.empty(0)
-        steps = np.concatenate([np.zeros((len(rows), 1), dtype=np.intp), order[rows]], axis=1)
-        transforms = poses.transforms.select((rows[:, None], steps))
-        units = [poses.units[row] for row in rows.tolist()]
         rules = PairRules(self._detector, hard=True)
-        contact = ContactCosts(rules, units, transforms).cost(np.arange(len(rows)), transforms, 1)
-        free = (contact[:, 1:] <= contact[:, :1]) & better[rows]
-        kept = np.flatnonzero(free.any(axis=1))
-        first = free[kept].argmax(axis=1)
-        return rows[kept], order[rows[kept], first], gain[rows[kept], first]
+        found = np.full(len(poses.units), -1)
+        # The best pose of each unit first, the next only where that is not free.
+        for place in range(order.shape[1]):
+            rows = np.flatnonzero(better[:, place] & (found < 0))
+            if not len(rows):
+                break
+            steps = np.stack([np.zeros(len(rows), dtype=np.intp), order[rows, place]], axis=1)
+            transforms = poses.transforms.select((rows[:, None], steps))
+            units = [poses.units[row] for row in rows.tolist()]
+            contact = ContactCosts(rules, units, transforms).cost(np.arange(len(rows)), transforms, 1)
+            found[rows[contact[:, 1] <= contact[:, 0]]] = place
+        rows = np.flatnonzero(found >= 0)
+        return rows, order[rows, found[rows]], gain[rows, found[rows]]
 
     def _clashes(self, poses: _Poses, unit: IndexArray, pose: IndexArray) -> dict[int, list[int]]:
         """For some units in new poses, by position, those that cross each other there or share organs."""

@@ -50,18 +50,27 @@ def overlapping_boxes(
     if not len(low) or not len(other_low):
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     # Sweep along the longest axis: compare a block of neighbours with the others in the same range only.
-    axis = int((other_high.max(axis=0) - other_low.min(axis=0)).argmax())
-    order = np.argsort(low[:, axis], kind="stable")
+    # The second longest axis comes first, as it leaves few pairs.
+    axes = np.argsort(other_low.min(axis=0) - other_high.max(axis=0))
+    a, b, c = (tuple(np.ascontiguousarray(side[:, axis]) for side in (low, high)) for axis in axes)
+    d, e, f = (
+        tuple(np.ascontiguousarray(side[:, axis]) for side in (other_low, other_high)) for axis in axes
+    )
+    order = np.argsort(a[0], kind="stable")
     found = []
     for start in range(0, len(order), _BLOCK):
         block = order[start : start + _BLOCK]
-        first, last = low[block], high[block]
-        near = np.flatnonzero(
-            (other_low[:, axis] < last[:, axis].max()) & (other_high[:, axis] > first[:, axis].min())
-        )
-        overlap = boxes_overlap(first[:, None], last[:, None], other_low[near], other_high[near])
+        near = np.flatnonzero((d[0] < a[1][block].max()) & (d[1] > a[0][block].min()))
+        overlap = b[0][block][:, None] < e[1][near]
+        overlap &= b[1][block][:, None] > e[0][near]
         row, column = np.divmod(np.flatnonzero(overlap), max(len(near), 1))
-        found.append(block[row] * len(other_low) + near[column])
+        row, column = block[row], near[column]
+        for own, others in ((a, d), (c, f)):
+            kept = np.flatnonzero(
+                (own[0].take(row) < others[1].take(column)) & (own[1].take(row) > others[0].take(column))
+            )
+            row, column = row.take(kept), column.take(kept)
+        found.append(row * len(other_low) + column)
     row, column = np.divmod(np.sort(np.concatenate(found)), len(other_low))
     return row, column
 
@@ -106,7 +115,7 @@ class Organs:
         self.all_patches, self._used = Patches.empty(0), 0
         self.patch_first = np.zeros(len(self.parent), dtype=np.intp)
         self.patch_count = np.full(len(self.parent), -1)
-        self._feet: dict[int, FloatArray] = {}
+        self._feet = np.full((len(self.parent), 3), np.nan)  # at the original pose, on first use
 
     def __len__(self) -> int:
         return len(self.parent)
@@ -167,17 +176,21 @@ class Organs:
         owner = np.repeat(np.arange(len(faces)), [len(group) for group in faces])
         return self.mesh.vertices[np.concatenate(faces)], owner
 
-    def foot(self, organ: int) -> FloatArray:
-        """`(3,)` current start of an organ: the mean of its vertices with the smallest v."""
-        if organ not in self._feet:
+    def feet(self, organs: IndexArray) -> FloatArray:
+        """`(n, 3)` current starts of organs: the means of their vertices with the smallest v."""
+        for organ in organs[np.isnan(self._feet[organs, 0])].tolist():
             v = self.vertex_v(organ)
             base = self.original_vertices(organ)[v <= v.min() + 1e-6]
             self._feet[organ] = base.mean(axis=0, dtype=np.float64)
-        return np.asarray(self.rotation[organ] @ self._feet[organ] + self.shift[organ])
+        return np.einsum("nij,nj->ni", self.rotation[organs], self._feet[organs]) + self.shift[organs]
 
-    def box_centre(self, organ: int) -> FloatArray:
-        """`(3,)` centre of an organ's current bounding box."""
-        return np.asarray(0.5 * (self.low[organ] + self.high[organ]))
+    def extent(self, organ: int) -> float:
+        """Longest side of an organ's bounding box before all moves, metres."""
+        return float(self._original_extent[organ])
+
+    def box_centres(self, organs: IndexArray) -> FloatArray:
+        """`(n, 3)` centres of the current bounding boxes of organs."""
+        return np.asarray(0.5 * (self.low[organs] + self.high[organs]))
 
     def sample(self, organs: IndexArray) -> None:
         """Place sample points on those organs that have none; a single call for many is faster."""
@@ -263,6 +276,20 @@ class Organs:
         rows, position = self.vertices_of(others)
         points = _transform(self.mesh.vertices[rows].T, self.rotation[others], self.shift[others], position)
         self._set_boxes(others, points, np.flatnonzero(np.diff(position, prepend=-1)))
+
+    def boxes_after(
+        self, organs: IndexArray, rotation: FloatArray, shift: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """`(m, 3)` corners of the boxes that solid organs will have after a move by transforms."""
+        rows, position = self.vertices_of(organs)
+        rotation, shift = (
+            np.matmul(rotation, self.rotation[organs]),
+            np.matmul(rotation, self.shift[organs][:, :, None])[:, :, 0] + shift,
+        )
+        points = _transform(self.mesh.vertices[rows].T, rotation, shift, position)
+        starts = np.flatnonzero(np.diff(position, prepend=-1))
+        low = np.stack([np.minimum.reduceat(axis, starts) for axis in points], axis=1)
+        return low, np.stack([np.maximum.reduceat(axis, starts) for axis in points], axis=1)
 
     def _set_boxes(self, organs: IndexArray, points: SingleArray, starts: IndexArray) -> None:
         """Set the boxes of organs to those of their points `(3, p)`, which start at some positions."""

@@ -12,9 +12,9 @@ from pepperscene.geometry.contacts.cost import (
     ContactCosts,
     Poses,
     remaining_cost,
-    swept_boxes,
     weighted_effort,
 )
+from pepperscene.geometry.contacts.depth import deep_pairs, superfluous_leaves
 from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
 from pepperscene.geometry.contacts.joints import (
     JointRotation,
@@ -71,6 +71,7 @@ class ContactSolver:
     def __init__(self, detector: ContactDetector, rng: np.random.Generator) -> None:
         self.detector, self.organs = detector, detector.organs
         self.motions: list[JointRotation] = []
+        self.touching = np.empty((0, 2), dtype=np.intp)  # leaves and others, after `free_leaves`
         self._rng = rng
         self._angles = np.zeros((len(self.organs), 2))
         self._units: dict[int, list[MovableUnit]] = {}
@@ -88,7 +89,16 @@ class ContactSolver:
 
     def free_leaves(self, passes: int) -> None:
         """Rotate leaves and shoots that cross each other."""
-        LeafSolver(self.detector, self._angles, self._move, self._units_of).run(passes, self._rng)
+        solver = LeafSolver(self.detector, self._angles, self._move, self._units_of)
+        solver.run(passes, self._rng)
+        if passes:
+            self.touching = solver.run_last(self._rng)
+
+    def leave_out_leaves(self) -> IndexArray:
+        """Leave out leaves that are still deep in others; return their organs."""
+        organs = superfluous_leaves(self.organs, deep_pairs(self.organs, self.touching))
+        self.detector.leave_out(organs)
+        return organs
 
     def _find_contacts(self) -> IndexArray:
         """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through."""
@@ -212,31 +222,42 @@ class ContactSolver:
         Returns:
             The contacts that must wait.
         """
-        organs, first_move = self.organs, self.organs.moves
-        waiting = []
+        if not best:
+            return contacts[:0]
+        organs, is_fruit = self.organs, self.organs.organ_class == FRUIT
+        units = list({unit.root: unit for unit in best.values()}.values())
+        row_of_root = {unit.root: row for row, unit in enumerate(units)}
+        change = np.array([angles[unit.root] - self._angles[unit.root] for unit in units])
+        transforms = find_joints(organs, units).transforms(change[:, None])
+        owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
+        members = np.concatenate([np.array(unit.members) for unit in units])
+        solid = organs.solid[members]
+        owner, members = owner[solid], members[solid]
+        low, high = organs.boxes_after(members, transforms.rotation[owner, 0], transforms.shift[owner, 0])
+        first = np.searchsorted(owner, np.arange(len(units) + 1))
+        has_moved, moved_rows = np.zeros(len(organs), dtype=bool), np.empty(0, dtype=np.intp)
+        waiting: list[int] = []
+        moved_units: list[MovableUnit] = []
         for place, unit in best.items():
-            members = np.array(unit.members)
-            moved = np.flatnonzero(organs.moved_at > first_move)
-            if len(moved) and (
-                np.any(organs.moved_at[contacts[place]] > first_move)
-                or np.any(organs.moved_at[members] > first_move)
-                or self._comes_near(unit, angles[unit.root], moved)
-            ):
-                waiting.append(place)
-            else:
-                self._move([unit], angles[unit.root][None])
+            row = row_of_root[unit.root]
+            rows = np.arange(first[row], first[row + 1])
+            if moved_units:
+                near = boxes_overlap(
+                    low[moved_rows], high[moved_rows], low[rows][:, None] - NEAR, high[rows][:, None] + NEAR
+                )
+                near &= is_fruit[members[rows]][:, None] | is_fruit[members[moved_rows]]
+                if (
+                    near.any()
+                    or np.any(has_moved[contacts[place]])
+                    or np.any(has_moved[np.array(unit.members)])
+                ):
+                    waiting.append(place)
+                    continue
+            moved_rows = np.append(moved_rows, rows)
+            has_moved[list(unit.members)] = True
+            moved_units.append(unit)
+        self._move(moved_units, np.array([angles[unit.root] for unit in moved_units]))
         return contacts[waiting]
-
-    def _comes_near(self, unit: MovableUnit, angles: FloatArray, others: IndexArray) -> bool:
-        """Whether the boxes of a unit's organs would come near to others, one of the two being fruit."""
-        organs, members = self.organs, np.array(unit.members)
-        members, others = members[organs.solid[members]], others[organs.solid[others]]
-        transforms = find_joints(organs, [unit]).transforms((angles - self._angles[unit.root])[None, None])
-        low, high = swept_boxes(organs, members, np.zeros(len(members), dtype=np.intp), transforms)
-        low, high = low[:, None] - NEAR, high[:, None] + NEAR
-        near = boxes_overlap(organs.low[others], organs.high[others], low, high)
-        fruit = organs.organ_class == FRUIT
-        return bool(np.any(near & (fruit[members][:, None] | fruit[others])))
 
     def _move(self, units: Sequence[MovableUnit], angles: FloatArray) -> None:
         """Move units that have no organs in common to some angles, `(u, 2)`."""
@@ -266,18 +287,25 @@ class ResolvedMesh:
     """A mesh after its contacts have been resolved.
 
     Attributes:
-        mesh: the same triangles, some of them moved.
+        mesh: the same triangles, some of them moved, without those of the organs left out.
         motions: the rotations made, in order; each pivot refers to the mesh before that rotation.
         contacts: those that remain.
+        left_out: organs that have no triangles any more; they keep their numbers.
     """
 
     mesh: Mesh
     motions: tuple[JointRotation, ...]
     contacts: ContactCounts
+    left_out: tuple[int, ...] = ()
 
 
 def resolve_contacts(
-    mesh: Mesh, rng: np.random.Generator, *, between_plants: bool = False, rounds: int = _ROUNDS
+    mesh: Mesh,
+    rng: np.random.Generator,
+    *,
+    between_plants: bool = False,
+    rounds: int = _ROUNDS,
+    free_leaves: bool = True,
 ) -> ResolvedMesh:
     """Rotate parts of plants so that fruit touches nothing and leaves do not run through each other or stems.
 
@@ -289,9 +317,11 @@ def resolve_contacts(
         mesh: one or more plants, z up, with the ground at z = 0.
         rng: for the candidate poses.
         between_plants: resolve only contacts between different plants (`Instance.plant`), taking those within
-            each plant as resolved; none of those gets worse. Leaves that still cross others of their plant
-            are tried again.
+            each plant as resolved; none of those gets worse. Leaves that cross others of their own plant are
+            tried too. A leaf that stays millimetres deep in another is left out, as if a grower had cut it:
+            less than one of a hundred.
         rounds: maximum number of attempts to resolve all that still touches.
+        free_leaves: also rotate leaves that cross each other, after all other contacts.
 
     Raises:
         ValueError: two instances of the mesh share vertices.
@@ -301,7 +331,10 @@ def resolve_contacts(
         if not solver.run_round(number):
             break
     # Between plants, a single one has nothing to resolve: it stays the plant that is grown alone.
-    if not between_plants or len({item.plant for item in mesh.instances}) > 1:
+    if free_leaves and (not between_plants or len({item.plant for item in mesh.instances}) > 1):
         solver.free_leaves(min(rounds, PASSES))
+    left_out = solver.leave_out_leaves() if between_plants else np.empty(0, dtype=np.intp)
     counts = current_counts(solver.detector)
-    return ResolvedMesh(solver.organs.current_mesh(), tuple(solver.motions), counts)
+    moved = solver.organs.current_mesh()
+    result = moved.without_triangles(left_out) if len(left_out) else moved
+    return ResolvedMesh(result, tuple(solver.motions), counts, tuple(left_out.tolist()))
