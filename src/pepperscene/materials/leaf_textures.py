@@ -141,12 +141,12 @@ def residue_pattern(
     """
     # Nearly even: on the nearest leaves too, dust is greyness through which veins show, not spots.
     film = np.exp(
-        0.30 * _noise(grid, tile, BROAD_MM, rng)
+        0.42 * _noise(grid, tile, BROAD_MM, rng)
         + 0.10 * _noise(grid, tile, 3.5, rng)
         + 0.08 * _noise(grid, tile, 1.5, rng)
         + 0.12 * _noise(grid, tile, 0.8, rng)
     )
-    film *= 1.0 + 0.3 * _ridge(veins.midrib_mm, 1.6) + 0.15 * _ridge(veins.lateral_mm, 1.2)
+    film *= 1.0 + 0.6 * _ridge(veins.midrib_mm, 1.6) + 0.15 * _ridge(veins.lateral_mm, 1.2)
     wet = drops.crop(rng, grid.shape) * (0.6 + 0.8 * grid.height**2)
     # Pools at the tip, within its last centimetre, and along the midrib.
     pools = 0.15 * _ridge(veins.midrib_mm, 2.0) + 0.5 * np.exp((grid.y_mm - grid.size_mm[1]) / 6.0)

@@ -35,8 +35,8 @@ class Quality:
         integrator: "flash" for `pepperscene.render.transport.trace`, "path" for Mitsuba's own path tracer
             with `samples` in every pixel, the reference to compare with.
         sampler: for "path"; "flash" has its own.
-        soft_by_daylight: `soft` of frames without a flash, if it is greater: there nearly all light is soft, and
-            with few samples the denoiser takes the relief of leaves for noise.
+        soft_by_daylight: `soft` of frames without a flash, if it is greater: there nearly all light is soft,
+            and with few samples the denoiser takes the relief of leaves for noise.
 
     Raises:
         ValueError: a value is out of range or unknown.
@@ -56,7 +56,9 @@ class Quality:
     def __post_init__(self) -> None:
         if not 1 <= self.soft <= self.samples <= self.most:
             raise ValueError(f"quality: 1 <= soft <= samples <= most must hold, not {self}")
-        if min(self.bounces, self.most_bounces, self.soft_by_daylight) < 0 or (self.target is not None and not self.target > 0.0):
+        if min(self.bounces, self.most_bounces, self.soft_by_daylight) < 0 or (
+            self.target is not None and not self.target > 0.0
+        ):
             raise ValueError(f"quality: counts must be at least 0 and the target above 0, not {self}")
         if self.soft_by_daylight > self.most:
             raise ValueError(f"quality: soft_by_daylight must be at most `most`, not {self}")
