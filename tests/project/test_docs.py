@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -40,6 +41,15 @@ def _run(*words):
     assert not exit_code, f"exit code {exit_code}: pepperscene {' '.join(words)}"
 """
 """Runs a command in the page's process, which has loaded the libraries and compiled the kernels already."""
+
+SHARE_ROWS = """
+import sys
+sys.path.insert(1, {tests!r})
+import row_cache
+row_cache.install({rows!r})
+del sys.path[1]
+"""
+"""Takes the plants from those that other examples have grown."""
 
 
 class Block(NamedTuple):
@@ -97,8 +107,16 @@ def _program(page: Path) -> str:
     return "\n".join(program)
 
 
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Folder of the rows of plants that the examples have grown; they take gigabytes."""
+    folder = tmp_path_factory.mktemp("rows")
+    yield folder
+    shutil.rmtree(folder)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_examples_run(page: Path, tmp_path: Path) -> None:
+def test_examples_run(page: Path, tmp_path: Path, rows: Path) -> None:
     program = _program(page)
     if not program.strip():
         return
@@ -106,7 +124,8 @@ def test_examples_run(page: Path, tmp_path: Path) -> None:
     script.write_text(program, encoding="utf-8")
     folder = tmp_path / "work"
     folder.mkdir()
-    run_page = f"{RUN_COMMAND}\nexec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
+    share_rows = SHARE_ROWS.format(tests=str(Path(__file__).parent), rows=str(rows))
+    run_page = f"{share_rows}{RUN_COMMAND}\nexec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
     command = [sys.executable, "-c", run_page]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, f"{page.name} (line numbers are the page's)\n{done.stderr[-4000:]}"
