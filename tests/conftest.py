@@ -1,8 +1,10 @@
-"""A cultivar for all tests; marks the tests that `make check` leaves out."""
+"""A cultivar and grown rows for all tests; marks the tests that `make check` leaves out."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -31,3 +33,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def kaite() -> Cultivar:
     return load_cultivar("kaite")
+
+
+@pytest.fixture(scope="session")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Folder of the rows of plants that examples have grown; they take gigabytes."""
+    folder = tmp_path_factory.mktemp("rows")
+    yield folder
+    shutil.rmtree(folder)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 import pytest
+import row_cache
 from pydantic import BaseModel
 from typer.models import OptionInfo
 
@@ -41,15 +41,6 @@ def _run(*words):
     assert not exit_code, f"exit code {exit_code}: pepperscene {' '.join(words)}"
 """
 """Runs a command in the page's process, which has loaded the libraries and compiled the kernels already."""
-
-SHARE_ROWS = """
-import sys
-sys.path.insert(1, {tests!r})
-import row_cache
-row_cache.install({rows!r})
-del sys.path[1]
-"""
-"""Takes the plants from those that other examples have grown."""
 
 
 class Block(NamedTuple):
@@ -107,14 +98,6 @@ def _program(page: Path) -> str:
     return "\n".join(program)
 
 
-@pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Folder of the rows of plants that the examples have grown; they take gigabytes."""
-    folder = tmp_path_factory.mktemp("rows")
-    yield folder
-    shutil.rmtree(folder)
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_examples_run(page: Path, tmp_path: Path, rows: Path) -> None:
     program = _program(page)
@@ -124,8 +107,7 @@ def test_examples_run(page: Path, tmp_path: Path, rows: Path) -> None:
     script.write_text(program, encoding="utf-8")
     folder = tmp_path / "work"
     folder.mkdir()
-    share_rows = SHARE_ROWS.format(tests=str(Path(__file__).parent), rows=str(rows))
-    run_page = f"{share_rows}{RUN_COMMAND}\nexec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
+    run_page = f"{row_cache.install_code(rows)}{RUN_COMMAND}\nexec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
     command = [sys.executable, "-c", run_page]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, f"{page.name} (line numbers are the page's)\n{done.stderr[-4000:]}"

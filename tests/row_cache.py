@@ -1,6 +1,6 @@
-"""Stores grown rows in a folder, so that the examples of all pages grow each row once.
+"""Stores grown rows in a folder, so that pages and notebooks grow each row once.
 
-A page runs in a new process, and most pages show frames of the same set of plants: growing them takes half of the
+Each of them runs in a new process, and most show frames of the same set of plants: growing them takes half of the
 time of an example. Everything else of an example runs as for a reader.
 """
 
@@ -19,6 +19,19 @@ from types import ModuleType
 from typing import Any
 
 BUILDER = "pepperscene.dataset.scenes.scene_builder"
+
+
+def install_code(folder: Path) -> str:
+    """Code for the beginning of a process that takes rows from a folder."""
+    tests = str(Path(__file__).parent)
+    return f"""
+import sys
+sys.path.insert(1, {tests!r})
+import row_cache
+row_cache.install({str(folder)!r})
+sys.path.remove({tests!r})
+del row_cache, sys
+"""
 
 
 def install(folder: str) -> None:
