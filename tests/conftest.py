@@ -17,6 +17,8 @@ UNIT = {
     "truth",
 }  # fmt: skip
 """Folders whose tests neither render nor start processes."""
+LONGEST = {"test_docs.py", "test_notebooks.py", "test_memory_growth.py"}
+"""Files with tests of about a minute."""
 
 
 def pytest_configure() -> None:
@@ -25,6 +27,8 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # The longest tests come first: at the end one of them would leave the other processes without work.
+    items.sort(key=lambda item: item.path.name not in LONGEST)
     for item in items:
         if item.path.relative_to(TESTS).parts[0] not in UNIT:
             item.add_marker("slow")

@@ -1,7 +1,7 @@
-"""Stores grown rows in a folder, so that pages and notebooks grow each row once.
+"""Stores grown rows in a folder, so that pages, notebooks and tests of tuning grow each row once.
 
-Each of them runs in a new process, and most show frames of the same set of plants: growing them takes half of the
-time of an example. Everything else of an example runs as for a reader.
+Pages and notebooks run in new processes, and most show frames of the same set of plants: growing them takes
+half of the time of an example. Everything else of an example runs as for a reader.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import importlib.util
 import os
 import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from importlib.abc import MetaPathFinder
 from pathlib import Path
@@ -37,8 +38,8 @@ del row_cache, sys
 def install(folder: str) -> None:
     """Let this process take rows from a folder and add those that it grows.
 
-    The module that grows them is changed when an example imports it: imported here, it would hide that an example
-    lacks an import.
+    The module that grows them is changed when an example imports it: imported here, it would hide that an
+    example lacks an import.
     """
     sys.meta_path.insert(0, _Finder(Path(folder)))
 
@@ -60,12 +61,28 @@ class _Finder(MetaPathFinder):
 
         def execute_and_wrap(module: ModuleType) -> None:
             execute(module)
-            builder = module.SceneBuilder
-            for method in ("scene", "plants"):
-                setattr(builder, method, _stored(self._folder, getattr(builder, method)))
+            for name, method in _stored_methods(self._folder, module.SceneBuilder).items():
+                setattr(module.SceneBuilder, name, method)
 
-        spec.loader.exec_module = execute_and_wrap  # type: ignore[method-assign]
+        spec.loader.exec_module = execute_and_wrap
         return spec
+
+
+@contextmanager
+def rows_from(folder: Path) -> Iterator[None]:
+    """Within the context, this process takes rows from a folder and adds those that it grows."""
+    import pytest
+
+    from pepperscene.dataset.scenes.scene_builder import SceneBuilder
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, method in _stored_methods(folder, SceneBuilder).items():
+            patch.setattr(SceneBuilder, name, method)
+        yield
+
+
+def _stored_methods(folder: Path, builder: type) -> dict[str, Callable[..., Any]]:
+    return {name: _stored(folder, getattr(builder, name)) for name in ("scene", "plants")}
 
 
 def _stored(folder: Path, method: Callable[..., Any]) -> Callable[..., Any]:
