@@ -5,6 +5,8 @@ PYTHON ?= python3
 OUT ?= out/demo
 # Test processes at a time; each needs about 2 GB of memory.
 JOBS ?= 2
+# Threads of each test process: more than there are cores for all processes only slow each other down.
+THREADS ?= 1
 # The tests that need PyTorch run with a CPU build of it; they are skipped where none can be installed.
 TORCH ?= --index-url https://download.pytorch.org/whl/cpu --retries 0 --timeout 15 torch
 
@@ -15,7 +17,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
-PYTEST := $(BIN)/python -m pytest --numprocesses=$(JOBS) --dist=worksteal
+LIMITS := $(foreach name,PEPPERSCENE OIDN_NUM OMP_NUM OPENBLAS_NUM,$(name)_THREADS=$(THREADS)) PEPPERSCENE_PROCESSES=1
+PYTEST := env $(LIMITS) $(BIN)/python -m pytest --numprocesses=$(JOBS) --dist=worksteal
 
 .DEFAULT_GOAL := help
 .PHONY: help demo check test test-long lock docs clean

@@ -1,8 +1,10 @@
-"""A cultivar for all tests; marks the tests that `make check` leaves out."""
+"""A cultivar and grown rows for all tests; marks the tests that `make check` leaves out."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,8 @@ UNIT = {
     "truth",
 }  # fmt: skip
 """Folders whose tests neither render nor start processes."""
+LONGEST = {"test_docs.py", "test_notebooks.py", "test_memory_growth.py"}
+"""Files with tests of about a minute."""
 
 
 def pytest_configure() -> None:
@@ -23,6 +27,8 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # The longest tests come first: at the end one of them would leave the other processes without work.
+    items.sort(key=lambda item: item.path.name not in LONGEST)
     for item in items:
         if item.path.relative_to(TESTS).parts[0] not in UNIT:
             item.add_marker("slow")
@@ -31,3 +37,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def kaite() -> Cultivar:
     return load_cultivar("kaite")
+
+
+@pytest.fixture(scope="session")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Folder of the rows of plants that examples have grown; they take gigabytes."""
+    folder = tmp_path_factory.mktemp("rows")
+    yield folder
+    shutil.rmtree(folder)

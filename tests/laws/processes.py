@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from pepperscene.dataset.subprocess_rpc import THREADS
+
 _LAWS = Path(__file__).parent
 FOLDERS = [str(folder) for folder in (_LAWS, _LAWS / "stress", _LAWS.parent / "render")]
 
@@ -15,9 +17,11 @@ FOLDERS = [str(folder) for folder in (_LAWS, _LAWS / "stress", _LAWS.parent / "r
 def run_python(code: str, timeout_s: float = 600.0, **environment: str):
     """The JSON value on the last line that code prints in a new interpreter."""
     path = os.pathsep.join([*FOLDERS, *filter(None, [os.environ.get("PYTHONPATH")])])
+    # `make test` limits the threads of tests; this process has a thread on each core, as for a user.
+    inherited = {name: value for name, value in os.environ.items() if name not in THREADS}
     process = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": path, **environment},
+        env={**inherited, "PYTHONPATH": path, **environment},
         capture_output=True,
         text=True,
         timeout=timeout_s,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import shlex
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 import pytest
+import row_cache
 from pydantic import BaseModel
 from typer.models import OptionInfo
 
@@ -20,6 +22,8 @@ from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.cli import app
 from pepperscene.cultivar import Cultivar, Distribution
 from pepperscene.dataset import Recipe
+from pepperscene.dataset.scenes.plants import PROCESSES
+from pepperscene.dataset.subprocess_rpc import THREADS
 from pepperscene.frame import OUTPUTS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -98,7 +102,7 @@ def _program(page: Path) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_examples_run(page: Path, tmp_path: Path) -> None:
+def test_examples_run(page: Path, tmp_path: Path, rows: Path) -> None:
     program = _program(page)
     if not program.strip():
         return
@@ -106,9 +110,13 @@ def test_examples_run(page: Path, tmp_path: Path) -> None:
     script.write_text(program, encoding="utf-8")
     folder = tmp_path / "work"
     folder.mkdir()
-    run_page = f"{RUN_COMMAND}\nexec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
+    prelude = row_cache.install_code(rows) + RUN_COMMAND
+    run_page = f"{prelude}\nexec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
     command = [sys.executable, "-c", run_page]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
+    # `make test` limits threads and processes; one page runs without a limit, as for a reader.
+    limits = (*THREADS, PROCESSES) if page.name == "README.md" else ()
+    environment = {name: value for name, value in os.environ.items() if name not in limits}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, f"{page.name} (line numbers are the page's)\n{done.stderr[-4000:]}"
 
 

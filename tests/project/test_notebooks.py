@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import row_cache
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -26,14 +27,15 @@ def test_notebook_has_no_outputs(notebook: Path) -> None:
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
-def test_notebook_runs(notebook: Path, tmp_path: Path) -> None:
+def test_notebook_runs(notebook: Path, tmp_path: Path, rows: Path) -> None:
     # In a subprocess, because kernels and their sockets emit warnings, which are errors here.
     code = (
         "import sys, nbformat, nbclient\n"
         "notebook = nbformat.read(sys.argv[1], as_version=4)\n"
+        "notebook.cells.insert(0, nbformat.v4.new_code_cell(sys.argv[3]))\n"
         "resources = {'metadata': {'path': sys.argv[2]}}\n"
         "nbclient.NotebookClient(notebook, timeout=600, resources=resources).execute()\n"
     )
-    command = [sys.executable, "-c", code, str(notebook), str(tmp_path)]
+    command = [sys.executable, "-c", code, str(notebook), str(tmp_path), row_cache.install_code(rows)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr[-4000:]
