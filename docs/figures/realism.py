@@ -37,6 +37,18 @@ FRUIT_MM: Final = 85.0
 TEST_PHOTOS: Final = tuple(f"img{number}" for number in range(7, 13))
 """Photographs to which nothing was fitted."""
 
+OUTLINES: Final = {
+    "img7": ((236, 111), (255, 94), (261, 102), (279, 135), (282, 158), (277, 169), (238, 169), (234, 141)),
+    "img8": ((481, 237), (488, 223), (508, 213), (528, 215), (537, 222), (528, 233), (505, 250), (485, 258)),
+    "img9": ((240, 204), (274, 206), (290, 192), (315, 188), (328, 214), (315, 246), (283, 273), (245, 243)),
+    "img10": ((206, 182), (226, 164), (256, 162), (287, 175), (288, 219), (274, 249), (243, 284), (212, 220)),
+    "img11": ((403, 231), (415, 215), (446, 211), (468, 220), (468, 287), (457, 297), (428, 282), (405, 251)),
+}
+"""Columns and rows of polygons inside one leaf of some of them, drawn by hand."""
+
+LEAST_LEAF_PX: Final = 2500
+"""Pixels of a leaf in an image 600 pixels wide. Chosen: about as many as the outlined leaves have."""
+
 CLOSE_MM: Final = 100.0
 WIDE_MM: Final = 500.0
 CELL: Final = (380, 285)
@@ -67,7 +79,7 @@ class Pair:
 
 PAIRS: Final = (
     Pair("demo", 6137, "img9", 67.0, (283, 216)),
-    Pair("greenhouse", 0, "img8", 53.0, (497, 233), (4, 8)),
+    Pair("greenhouse", 0, "img8", 53.0, (497, 233), (4, 8, 10)),
     Pair("randomised", 0, "img7", 41.0, (258, 140)),
     Pair("season", 60, "img10", 49.0, (252, 207)),
 )
@@ -158,6 +170,51 @@ def largest_ratio(first: tuple[Any, ...], second: tuple[Any, ...]) -> float:
     return float(max(max(ratio, 1.0 / ratio) for ratio in ratios))
 
 
+def lightness_sd(linear_width: int, picture: Picture, masks: NDArray[np.intp]) -> list[float]:
+    """Standard deviation of L* of every region of at least `LEAST_LEAF_PX` pixels at a common scale.
+
+    Args:
+        linear_width: width in pixels to which picture and regions are reduced.
+        picture: `(h, w, 3)` sRGB.
+        masks: `(h, w)` number of the region of each pixel, 0 for none.
+    """
+    from skimage.color import rgb2lab
+
+    size = linear_width, round(picture.shape[0] * linear_width / picture.shape[1])
+    small = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+    regions = np.asarray(Image.fromarray(masks.astype(np.int32)).resize(size, Image.Resampling.NEAREST))
+    lightness = rgb2lab(small)[..., 0]
+    areas = np.bincount(regions.ravel())
+    return [
+        float(lightness[regions == number].std())
+        for number in np.flatnonzero(areas >= LEAST_LEAF_PX)
+        if number
+    ]
+
+
+def photographed_leaves() -> list[float]:
+    """`lightness_sd` of the outlined leaves of the photographs, whatever their size."""
+    from skimage.color import rgb2lab
+    from skimage.draw import polygon2mask
+
+    values = []
+    for name, outline in OUTLINES.items():
+        photo = np.asarray(Image.open(PHOTOS / f"{name}.png").convert("RGB"))
+        inside = polygon2mask(photo.shape[:2], np.array(outline)[:, ::-1])
+        values.append(float(rgb2lab(photo)[..., 0][inside].std()))
+    return values
+
+
+def rendered_leaves(folder: Path) -> list[float]:
+    """`lightness_sd` of the leaves of a data set."""
+    data, values = ps.open_dataset(folder), []
+    for frame in data.indices():
+        colour, classes, instances = (data.image(frame, name) for name in ("colour", "class", "instance"))
+        leaves = np.where(classes == OrganClass.LEAF, instances, 0)
+        values += lightness_sd(600, np.ascontiguousarray(colour[..., :3]), leaves)
+    return values
+
+
 def infrared_loss(frame: int = 6137) -> float:
     """Light at 850 nm that `standard` lacks against 16 bounces, in percent of the mean signal."""
     changes = {
@@ -189,6 +246,7 @@ def rendered_rows(renders: dict[str, Render]) -> list[Row]:
     flash: Comparison = compare(photos, renders["demo"].folder)
     leaf, lamp = day.appearance["leaf"].second, flash.appearance["leaf"].second
     dark = 100.0 * (leaf.blue_dark_share.value or 0.0)
+    outlined = photographed_leaves()
     photo, image = day.appearance["image"].first, day.appearance["image"].second
 
     def row(name: str, target: str, low: float | None, high: float | None, digits: int, value: Any) -> Row:
@@ -203,6 +261,11 @@ def rendered_rows(renders: dict[str, Render]) -> list[Row]:
         row("flash leaf, median hue, degrees", "120 to 127", 120.0, 127.0, 0, lamp.hue_median_deg),
         row("gradients of a daylight leaf, ratio", "at most 1.5", None, 1.5, 2, leaf.gradient_ratio),
         row("sd of L* in a daylight leaf", "about 15 (12 to 18)", 12.0, 18.0, 1, leaf.organ_lightness_sd),
+        row(
+            f"the same in large leaves only (outlined in photographs: {np.mean(outlined):.1f})",
+            f"{min(outlined):.1f} to {max(outlined):.1f}", min(outlined), max(outlined), 1,
+            float(np.mean(rendered_leaves(renders["greenhouse"].folder))),
+        ),
         row(
             "whole images, S at 10, 50 and 90 %, greatest factor to the photographs",
             "at most 1.6", None, 1.6, 2, largest_ratio(photo.saturation, image.saturation),

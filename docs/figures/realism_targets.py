@@ -195,8 +195,8 @@ def _balanced_rgb(light: Spectrum, reflectance: Floats) -> Floats:
 ROWS: Final = (
     Row("hue of the mean leaf under D65, degrees", "118 to 126", 118.0, 126.0, 1, leaf_hue),
     Row("red over green of the mean leaf on the sensor", "at least 0.66", 0.66, None, 3, leaf_red_over_green),
-    Row("leaf, lower over upper at 450 nm", "1.6 to 2.4", 1.6, 2.4, 2, lambda: lower_over_upper(450.0)),
-    Row("leaf, lower over upper at 670 nm", "1.6 to 2.4", 1.6, 2.4, 2, lambda: lower_over_upper(670.0)),
+    Row("leaf, lower over upper at 450 nm", "1.7 to 2.3", 1.7, 2.3, 2, lambda: lower_over_upper(450.0)),
+    Row("leaf, lower over upper at 670 nm", "1.7 to 2.3", 1.7, 2.3, 2, lambda: lower_over_upper(670.0)),
     Row("leaf, reflectance plus transmittance at 850 nm", "at most 1", None, 1.0, 3, infrared_sum),
     Row("unripe fruit under D65, L*", "33 to 37", 33.0, 37.0, 1, lambda: unripe_fruit("L")),
     Row("unripe fruit under D65, C*", "21 to 28", 21.0, 28.0, 1, lambda: unripe_fruit("C")),
