@@ -28,7 +28,7 @@ class TracedLight:
         indirect: `(h, w, c)` indirect light.
         albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 without a hit; for the
             denoiser, as are normal and coverage.
-        normal: `(h, w, 3)` of the first hit, towards the camera, 0 without a hit.
+        normal: `(h, w, 3)` of the relief at the first hit, towards the camera, 0 without a hit.
         coverage: `(h, w, 2)` fraction of the samples that hit a surface: of all, and of the indirect ones.
         variance: between the samples.
     """

@@ -1,5 +1,8 @@
 """Open Image Denoise on the indirect light; direct light is not filtered.
 
+The guides are albedo and normals of the first hits, with their relief: else the filter takes the shading of
+the relief by the sky for noise, and leaves in daylight look flat.
+
 The flash at the first hit has highlights, veins and edges in it, and gets samples instead of a filter.
 
 In front of the sky, indirect light ends where surfaces end, and what the filter spreads over that edge is
