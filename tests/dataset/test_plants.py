@@ -174,7 +174,7 @@ def test_interrupt_ends_the_second_process(factory, started, monkeypatch):
 
 
 def test_few_plants_start_no_process(factory, started, monkeypatch):
-    monkeypatch.setattr(PlantFactory, "plant", lambda _self, which, number: (which, number))
+    monkeypatch.setattr(PlantFactory, "plant", lambda _self, which, number, **_: (which, number))
     assert make_plants(factory, 3, COUNT - 1, 2) == [(3, number) for number in range(COUNT - 1)]
     assert not started
 

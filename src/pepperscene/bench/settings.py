@@ -88,5 +88,6 @@ def _path_settings(family: str, sampler: Sampler, *counts: int) -> list[Setting]
 
 
 def _fixed_setting(family: str, count: int, **changes: Any) -> Setting:
-    quality = dataclasses.replace(QUALITIES["standard"], samples=count, most=count, target=None, **changes)
+    base = dataclasses.replace(QUALITIES["standard"], target=None, soft_by_daylight=0)
+    quality = dataclasses.replace(base, samples=count, most=count, **changes)
     return Setting(family, f"{count} spp", quality)

@@ -35,8 +35,8 @@ class Quality:
         integrator: "flash" for `pepperscene.render.transport.trace`, "path" for Mitsuba's own path tracer
             with `samples` in every pixel, the reference to compare with.
         sampler: for "path"; "flash" has its own.
-        soft_by_daylight: `soft` of frames without a flash, if it is greater: there nearly all light is soft,
-            and with few samples the denoiser takes the relief of leaves for noise.
+        soft_by_daylight: `soft` of frames without a flash, if it is greater, but not above `most`: there
+            nearly all light is soft, and with few samples the denoiser takes the relief of leaves for noise.
 
     Raises:
         ValueError: a value is out of range or unknown.
@@ -60,16 +60,14 @@ class Quality:
             self.target is not None and not self.target > 0.0
         ):
             raise ValueError(f"quality: counts must be at least 0 and the target above 0, not {self}")
-        if self.soft_by_daylight > self.most:
-            raise ValueError(f"quality: soft_by_daylight must be at most `most`, not {self}")
         if self.integrator not in get_args(Integrator) or self.sampler not in get_args(Sampler):
             raise ValueError(f"quality: unknown integrator or sampler in {self}")
 
     def for_light(self, *, has_flash: bool) -> Quality:
         """The numbers of samples of frames with or without a flash."""
-        if has_flash or self.soft_by_daylight <= self.soft:
+        soft = min(self.soft_by_daylight, self.most)
+        if has_flash or soft <= self.soft:
             return self
-        soft = self.soft_by_daylight
         return replace(self, soft=soft, samples=max(self.samples, soft))
 
 

@@ -69,9 +69,6 @@ class SceneBuilder:
         )
 
         plants, row, greenhouse, seed = self.plants(set_index), self.row, self.greenhouse, self.recipe.seed
-        if len(plants) == 1:
-            # It has no neighbours and stays the plant that is grown alone.
-            plants = [self._factory.plant(set_index, 0, free_leaves=True)]
         ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
 
         # Positions belong to the greenhouse, postures to the plants that rotate through the row.
