@@ -38,14 +38,18 @@ def needs_long_paths(
         triangles: `surface_triangles(scene)`, where they are kept between frames.
     """
     grid = response.grid_nm
-    detected = response.electrons_per_joule.sum(axis=1) * response.trapezoid_nm
-    flash = detected * response.flash / _FLASH_DISTANCE_M**2
-    daylight = np.zeros(grid.size) if scene.sky is None else detected * _irradiance(scene.sky, grid)
+    flash, daylight = _detected_light(scene, response)
     if daylight.sum() > _DAYLIGHT_SHARE * flash.sum():
         return True
     light = flash + daylight
     is_bright = mean_albedo(scene, grid, triangles) > _BRIGHT
     return bool(light[is_bright].sum() > _BRIGHT_SHARE * light.sum())
+
+
+def is_mostly_daylight(scene: Scene, response: SpectralResponse) -> bool:
+    """Whether a white body half a metre from the flash gets more light from the sky than from the flash."""
+    flash, daylight = _detected_light(scene, response)
+    return bool(daylight.sum() > flash.sum())
 
 
 def surface_triangles(scene: Scene) -> NDArray[np.int64]:
@@ -67,6 +71,17 @@ def mean_albedo(
         albedo = surface.reflectance.mean(axis=(0, 1)) + surface.transmittance.mean(axis=0)
         total += count * np.interp(grid_nm, surface.wavelength_nm, albedo)
     return total / max(counts.sum(), 1)
+
+
+def _detected_light(
+    scene: Scene, response: SpectralResponse
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`(n,)` light of the flash at `_FLASH_DISTANCE_M` and of the sky that is detected, by wavelength."""
+    grid = response.grid_nm
+    detected = response.electrons_per_joule.sum(axis=1) * response.trapezoid_nm
+    flash = detected * response.flash / _FLASH_DISTANCE_M**2
+    daylight = np.zeros(grid.size) if scene.sky is None else detected * _irradiance(scene.sky, grid)
+    return flash, daylight
 
 
 def _irradiance(sky: Sky, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:
