@@ -26,7 +26,7 @@ from pepperscene.render.transport.adaptive import AdaptiveSampler
 from pepperscene.render.transport.denoise import denoised
 from pepperscene.render.transport.exposure import ExposurePart, exposure_parts, in_rows, sum_of_parts
 from pepperscene.render.transport.path_lengths import (
-    is_mostly_daylight,
+    has_daylight_alone,
     needs_long_paths,
     surface_triangles,
 )
@@ -75,7 +75,7 @@ class KernelScene:
         self, camera: Camera, quality: Quality, response: SpectralResponse, seed: int, scene: Scene
     ) -> TracedSignal:
         """Trace light with our integrator."""
-        quality = quality.for_light(mostly_daylight=is_mostly_daylight(scene, response))
+        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
         adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
         light = trace(
             self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
@@ -101,13 +101,13 @@ class KernelScene:
         """Trace the parts of an exposure with our integrator, each with samples and a denoiser of its own."""
         light_scene = self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
         rays, lights = self.rays(camera), []
-        by_day = is_mostly_daylight(scene, response)
+        by_day = has_daylight_alone(scene, response)
         # The variances of the parts add up to that of the whole.
         target = None if quality.target is None else quality.target / len(parts) ** 0.5
         signal = np.zeros((camera.height, camera.width, camera.sensor.channels), np.float32)
         for part, stream in zip(parts, sampling.spawn(len(parts)), strict=True):
             adaptive = AdaptiveSampler(camera, target, quality.most, denoised=quality.denoise)
-            of_part = quality.for_light(mostly_daylight=not part.has_flash or by_day)
+            of_part = quality.for_light(daylight_alone=not part.has_flash or by_day)
             light = trace(
                 light_scene,
                 moving_rays(rays, camera.motion or Motion(), part.windows),

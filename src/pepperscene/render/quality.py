@@ -35,8 +35,8 @@ class Quality:
         integrator: "flash" for `pepperscene.render.transport.trace`, "path" for Mitsuba's own path tracer
             with `samples` in every pixel, the reference to compare with.
         sampler: for "path"; "flash" has its own.
-        soft_by_daylight: `soft` of frames with more daylight than light of the flash, if it is greater, but
-            not above `most`: there, with few samples, the denoiser takes the relief of leaves for noise.
+        soft_by_daylight: `soft` of frames by daylight alone, if it is greater, but not above `most`: there,
+            with few samples, the denoiser takes the relief of leaves for noise.
 
     Raises:
         ValueError: a value is out of range or unknown.
@@ -63,10 +63,10 @@ class Quality:
         if self.integrator not in get_args(Integrator) or self.sampler not in get_args(Sampler):
             raise ValueError(f"quality: unknown integrator or sampler in {self}")
 
-    def for_light(self, *, mostly_daylight: bool) -> Quality:
-        """The numbers of samples of frames whose light is mostly daylight, or not."""
+    def for_light(self, *, daylight_alone: bool) -> Quality:
+        """The numbers of samples of frames by daylight alone, or of others."""
         soft = min(self.soft_by_daylight, self.most)
-        if not mostly_daylight or soft <= self.soft:
+        if not daylight_alone or soft <= self.soft:
             return self
         return replace(self, soft=soft, samples=max(self.samples, soft))
 
