@@ -56,6 +56,11 @@ class DetachedPoint:
         """Of the evaluated state."""
         return self.evaluated.reflectance
 
+    @property
+    def frame(self) -> Any:
+        """Of the evaluated state; the relief is the same in both."""
+        return self.evaluated.frame
+
     def albedo(self) -> Any:
         """Of the evaluated state."""
         return self.evaluated.albedo()
