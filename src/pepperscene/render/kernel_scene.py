@@ -101,20 +101,19 @@ class KernelScene:
         """Trace the parts of an exposure with our integrator, each with samples and a denoiser of its own."""
         light_scene = self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
         rays, lights = self.rays(camera), []
-        by_day = has_daylight_alone(scene, response)
+        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
         # The variances of the parts add up to that of the whole.
         target = None if quality.target is None else quality.target / len(parts) ** 0.5
         signal = np.zeros((camera.height, camera.width, camera.sensor.channels), np.float32)
         for part, stream in zip(parts, sampling.spawn(len(parts)), strict=True):
             adaptive = AdaptiveSampler(camera, target, quality.most, denoised=quality.denoise)
-            of_part = quality.for_light(daylight_alone=not part.has_flash or by_day)
             light = trace(
                 light_scene,
                 moving_rays(rays, camera.motion or Motion(), part.windows),
                 response,
                 camera.flash if part.has_flash else None,
                 sky_tables(scene, response.grid_nm) if part.has_daylight else None,
-                _sampling(of_part, adaptive),
+                _sampling(quality, adaptive),
                 int(stream.generate_state(1)[0]),
             )
             lights.append(in_rows(light, part.share))
