@@ -45,7 +45,7 @@ def test_quick_figures_are_those_of_the_functions(targets, lines):
 def test_table_has_a_finite_value_in_every_row(targets, lines):
     assert lines[0] == "| measure | target | reached | within |"
     rows = [line.strip("| ").split(" | ") for line in lines[1:]]
-    assert len(rows) == len(targets.ROWS) + 10
+    assert len(rows) == len(targets.ROWS) + 11
     for name, _, value, within in rows:
         assert np.isfinite(float(value)), name
         assert within in ("yes", "no")
