@@ -17,6 +17,7 @@ from pepperscene.dataset.store.manifest import (
     MANIFEST,
     TIMINGS,
     Row,
+    open_table_file,
     stored_row,
     table_columns,
     table_schema,
@@ -128,7 +129,7 @@ def _read_batches(dataset: Dataset, name: str) -> Iterator[list[Row]]:
 
     checksum = TableChecksum()
     with (
-        (dataset.folder / name).open("rb") as content,
+        open_table_file(dataset.folder / name) as content,
         parquet.ParquetFile(content, page_checksum_verification=True) as file,
     ):
         if not file.schema_arrow.equals(table_schema(table_columns(name, dataset.info))):

@@ -41,7 +41,15 @@ from pepperscene.dataset.store.frame_json import (
 )
 from pepperscene.dataset.store.images import encode_image, read_image
 from pepperscene.dataset.store.journal import Journal
-from pepperscene.dataset.store.manifest import FRUIT, MANIFEST, Row, fruit_rows, table_columns, write_table
+from pepperscene.dataset.store.manifest import (
+    FRUIT,
+    MANIFEST,
+    Row,
+    fruit_rows,
+    open_table_file,
+    table_columns,
+    write_table,
+)
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 
@@ -159,15 +167,14 @@ class Dataset:
         self.write_tables()
         if not path.is_file():
             raise InputError(self.folder, "has no frame with the output harvest; build it first")
-        with path.open("rb") as file:
+        with open_table_file(path) as file:
             return parquet.read_table(file)
 
     def _open_table(self, name: str, columns: list[str] | None = None) -> pyarrow.Table:
         """Read a table whose pages have the right checksums."""
         from pyarrow import parquet
 
-        # An open file, because the library takes no path that is not UTF-8.
-        with (self.folder / name).open("rb") as file:
+        with open_table_file(self.folder / name) as file:
             return parquet.read_table(file, columns=columns, page_checksum_verification=True)
 
     def _is_current(self, indices: list[int], checksums: list[str]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -206,6 +207,24 @@ def write_table(folder: Path, name: str, rows: Iterator[Row], columns: Mapping[s
             checksum.add(table)
             writer.write_table(table)
         writer.add_key_value_metadata({CHECKSUM_KEY: checksum.hexdigest()})
+
+
+def open_table_file(path: Path) -> pyarrow.NativeFile:
+    """Open a table for Arrow, without a Python file.
+
+    One of Arrow's threads could drop the last reference to a Python file, and if the interpreter ends at that
+    moment, the process is aborted (apache/arrow, issues 34314 and 50482).
+    """
+    import pyarrow
+
+    try:
+        return pyarrow.OSFile(os.fspath(path))
+    except UnicodeEncodeError:
+        # The library takes no path that is not UTF-8.
+        content = path.read_bytes()
+        buffer = pyarrow.allocate_buffer(len(content))
+        memoryview(buffer).cast("B")[:] = content
+        return pyarrow.BufferReader(buffer)
 
 
 def table_schema(columns: Mapping[str, str]) -> pyarrow.Schema:
