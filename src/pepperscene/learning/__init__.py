@@ -1,0 +1,1 @@
+"""Training networks on labelled images, and evaluating them (extra `learn`)."""

@@ -1,0 +1,118 @@
+"""The classes that a network separates: those of `OrganClass`, or mergers of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, OrganClass
+from pepperscene.errors import ArgumentError, InputError
+
+FRUIT_CLASSES: Final = "other=background+leaf+stem+shoot+wire+cut,fruit=pepper,peduncle"
+"""Classes of photographs whose masks know fruit and peduncles only."""
+
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
+_IDS: Final = {organ.name.lower(): int(organ) for organ in OrganClass}
+
+
+@dataclass(frozen=True)
+class ClassTable:
+    """Classes in the order of a network's outputs.
+
+    Attributes:
+        names: of the classes, lower case.
+        members: ids of `OrganClass` that each class consists of. An id in no class is dropped: its pixels are
+            ignored as void ones are.
+    """
+
+    names: tuple[str, ...]
+    members: tuple[frozenset[int], ...]
+
+    @classmethod
+    def organs(cls) -> Self:
+        """The eight classes of the published data set."""
+        return cls(tuple(_IDS), tuple(frozenset({class_id}) for class_id in _IDS.values()))
+
+    @classmethod
+    def parse(cls, text: str | None, where: str = "classes") -> Self:
+        """Read a table from text.
+
+        Args:
+            text: comma-separated classes, each the name of an organ class or `name=organ+organ`; organ classes
+                that do not occur are dropped. None stands for all eight.
+            where: name of the argument, for messages.
+
+        Raises:
+            ArgumentError: a name is unknown or occurs twice, or there are fewer than two classes.
+        """
+        if text is None:
+            return cls.organs()
+        names: list[str] = []
+        members: list[frozenset[int]] = []
+        for part in (part.strip() for part in text.split(",")):
+            name, _, organs = (piece.strip() for piece in part.partition("="))
+            if not _NAME.fullmatch(name):
+                raise ArgumentError(where, f"a class is named in lower-case letters, digits and _, not {name!r}")
+            parts = [organ.strip() for organ in (organs or name).split("+")]
+            for organ in parts:
+                if organ not in _IDS:
+                    raise ArgumentError(where, f"{organ!r} is none of {', '.join(_IDS)}")
+                if parts.count(organ) > 1 or any(_IDS[organ] in ids for ids in members):
+                    raise ArgumentError(where, f"{organ} is named twice")
+            if name in names:
+                raise ArgumentError(where, f"the class {name} is named twice")
+            names.append(name)
+            members.append(frozenset(_IDS[organ] for organ in parts))
+        if len(names) < 2:
+            raise ArgumentError(where, f"there must be two classes or more, not {len(names)}")
+        return cls(tuple(names), tuple(members))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __str__(self) -> str:
+        """The text that `parse` reads."""
+        organs = [name.lower() for name in OrganClass.__members__]
+        parts = []
+        for name, ids in zip(self.names, self.members, strict=True):
+            joined = "+".join(organs[class_id] for class_id in sorted(ids))
+            parts.append(name if joined == name else f"{name}={joined}")
+        return ",".join(parts)
+
+    @property
+    def colours(self) -> NDArray[np.uint8]:
+        """8-bit RGB of each class `(k, 3)`: the published colour of its first organ class."""
+        return np.array([CLASS_COLOURS[min(ids)] for ids in self.members], np.uint8)
+
+    def indices(self, class_ids: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Index of the class of each pixel, from ids of `OrganClass`; `IGNORE_CLASS` where it is dropped or void."""
+        lookup = np.full(256, IGNORE_CLASS, np.uint8)
+        for index, ids in enumerate(self.members):
+            lookup[list(ids)] = index
+        return lookup[class_ids]
+
+    def merging(self, finer: ClassTable, where: str = "classes") -> NDArray[np.float32]:
+        """Matrix `(len(self), len(finer))` of zeros and ones that adds probabilities of a finer table's classes.
+
+        A class of the finer table whose organ classes are all dropped here has a column of zeros.
+
+        Raises:
+            InputError: a class of the finer table belongs to two classes of this one or only partly to one, or a
+                class of this one holds no class of the finer table.
+        """
+        matrix = np.zeros((len(self), len(finer)), np.float32)
+        for column, (name, ids) in enumerate(zip(finer.names, finer.members, strict=True)):
+            for line, own in enumerate(self.members):
+                if ids <= own:
+                    matrix[line, column] = 1
+                elif ids & own:
+                    problem = f"the model's class {name} is only partly in {self.names[line]}"
+                    raise InputError(where, f"{problem}: its classes are {finer}")
+        for line, name in enumerate(self.names):
+            if not matrix[line].any():
+                raise InputError(where, f"the model knows nothing of {name}: its classes are {finer}")
+        return matrix
