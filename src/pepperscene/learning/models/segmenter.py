@@ -1,0 +1,161 @@
+"""A trained network with what is needed to apply it to images of any size."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Self, final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+from torch.nn import functional
+
+from pepperscene.dataset.store.atomic import write_file
+from pepperscene.errors import InputError
+from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.models.registry import build_model
+from pepperscene.version import __version__
+
+MODEL_FILE: Final = "model.safetensors"
+FORMAT: Final = "pepperscene model 1"
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Segmenter:
+    """A network that separates classes.
+
+    Attributes:
+        module: takes images `(n, 3, h, w)` in sRGB, 0 to 1.
+        model: text for `build_model`.
+        classes: meaning of the network's outputs.
+        width: width in pixels to which images are scaled before the network sees them; None for their own.
+        training: how it was trained: sets with their digests, versions, steps, options.
+    """
+
+    module: nn.Module
+    model: str
+    classes: ClassTable
+    width: int | None = None
+    training: Mapping[str, Any] = field(default_factory=dict)
+
+    def probabilities(self, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Probabilities of the classes `(k, h, w)` for an image `(h, w, 3)`."""
+        self.module.eval()
+        device = next(self.module.parameters()).device
+        with torch.inference_mode():
+            image = torch.from_numpy(np.array(colour)).to(device).permute(2, 0, 1)[None].float() / 255
+            logits = apply_model(self.module, _scaled(image, self.width))
+            enlarged = functional.interpolate(logits, size=colour.shape[:2], mode="bilinear", align_corners=False)
+            return enlarged.softmax(dim=1)[0].float().cpu().numpy()
+
+    def predict(self, colour: NDArray[np.uint8], classes: ClassTable | None = None) -> NDArray[np.uint8]:
+        """Index of the most probable class of each pixel `(h, w)`.
+
+        Args:
+            colour: `(h, w, 3)`.
+            classes: a table that merges the network's classes, whose probabilities are added; None for its own.
+        """
+        probabilities = self.probabilities(colour)
+        if classes is not None and classes != self.classes:
+            probabilities = np.tensordot(classes.merging(self.classes), probabilities, axes=1)
+        return probabilities.argmax(axis=0).astype(np.uint8)
+
+    def to(self, device: str) -> Self:
+        """The same network on another device."""
+        self.module.to(device)
+        return self
+
+    def save(self, file: Path) -> None:
+        """Write weights and description as one safetensors file, atomically."""
+        write_file(file, weights_as_bytes(self.module.state_dict(), self.description()))
+
+    def description(self) -> dict[str, Any]:
+        """What a file of weights says of them, as JSON values."""
+        return {
+            "format": FORMAT,
+            "model": self.model,
+            "classes": str(self.classes),
+            "width": self.width,
+            "version": __version__,
+            "training": dict(self.training),
+        }
+
+
+def apply_model(module: nn.Module, images: torch.Tensor) -> torch.Tensor:
+    """Logits `(n, classes, h, w)` at the size of the images, whatever form the model returns them in."""
+    logits = module(images)
+    if isinstance(logits, Mapping):
+        logits = logits["out"]
+    if logits.shape[-2:] != images.shape[-2:]:
+        logits = functional.interpolate(logits, size=images.shape[-2:], mode="bilinear", align_corners=False)
+    return logits  # type: ignore[no-any-return]
+
+
+def load_model(path: str | Path) -> Segmenter:
+    """Read a model that `train` wrote.
+
+    Args:
+        path: folder of a training, or a file of weights.
+
+    Raises:
+        InputError: there is no model, the file is damaged, or its weights do not fit the model that it names.
+    """
+    file = Path(path)
+    file = file / MODEL_FILE if file.is_dir() else file
+    if not file.is_file():
+        raise InputError(file, "does not exist; `pepperscene train` writes it")
+    tensors, description = read_weights(file, FORMAT)
+    try:
+        classes = ClassTable.parse(description["classes"])
+        module = build_model(description["model"], len(classes))
+        width, training = description["width"], description["training"]
+    except (KeyError, TypeError, AttributeError):
+        raise InputError(file, "lacks the description of its model") from None
+    fill_module(module, tensors, file)
+    return Segmenter(module, description["model"], classes, width, training)
+
+
+def fill_module(module: nn.Module, tensors: Mapping[str, torch.Tensor], file: Path) -> None:
+    """Copy weights into a module; raises `InputError` if they do not fit."""
+    try:
+        module.load_state_dict(dict(tensors))
+    except RuntimeError as error:
+        raise InputError(file, f"holds weights of another model ({str(error).splitlines()[-1].strip()})") from None
+
+
+def weights_as_bytes(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]) -> bytes:
+    """A safetensors file with a description in its header."""
+    from safetensors.torch import save
+
+    contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    return save(contiguous, {"description": json.dumps(description, sort_keys=True)})
+
+
+def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Tensors and description of a safetensors file of a format; raises `InputError` if it is damaged."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(file, framework="pt") as content:
+            description = json.loads((content.metadata() or {}).get("description", "{}"))
+            tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(file, f"cannot be read as safetensors ({' '.join(str(error).split())})") from None
+    if not isinstance(description, dict) or description.get("format") != form:
+        raise InputError(file, f"is not of the format {form!r}")
+    return tensors, description
+
+
+def _scaled(image: torch.Tensor, width: int | None) -> torch.Tensor:
+    """An image `(n, 3, h, w)` at a width."""
+    if width is None or image.shape[-1] == width:
+        return image
+    height = max(1, round(image.shape[-2] * width / image.shape[-1]))
+    return functional.interpolate(
+        image, size=(height, width), mode="bilinear", align_corners=False, antialias=True
+    )

@@ -1,0 +1,85 @@
+"""The crops that a network is trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+
+from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.readers.torch_augment import Augmentation
+from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
+from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
+from pepperscene.errors import InputError
+from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.training.options import TrainingOptions
+
+
+@final
+class TrainingSamples(torch.utils.data.Dataset):
+    """All crops of a training by number: crop n is the same in every run with the same seed.
+
+    Every image occurs once before one occurs again. A crop is a pair: image `(3, h, w)` uint8, and labels `(h, w)`
+    uint8, indices of the classes or 255.
+    """
+
+    def __init__(self, sets: Sequence[ImageSet], labels: ClassTable, options: TrainingOptions) -> None:
+        self._sets = [images.select("colour", "classes") for images in sets]
+        self._images = [(which, position) for which, images in enumerate(sets) for position in range(len(images))]
+        self._labels, self._seed, self._width = labels, options.seed, options.width
+        self._augmentation = _augmentation(options.size, options.augmentation)
+
+    def __getitem__(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Crop with a number; raises `InputError` if its image has no colour or no mask."""
+        epoch, place = divmod(int(number), len(self._images))
+        order = np.random.default_rng([self._seed, 0, epoch]).permutation(len(self._images))
+        which, position = self._images[order[place]]
+        colour, labels = self._read(self._sets[which], position)
+        # Random changes depend on the number alone, not on the worker that makes them.
+        rng = np.random.default_rng([self._seed, 1, int(number)])
+        arrays = self._augmentation.apply({"image": colour, "mask": labels}, rng)
+        image = torch.from_numpy(np.ascontiguousarray(arrays["image"].transpose(2, 0, 1)))
+        return image, torch.from_numpy(np.ascontiguousarray(arrays["mask"]))
+
+    def _read(self, images: ImageSet, position: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        image = images[position]
+        for name, array in (("colour image", image.colour), ("mask", image.classes)):
+            if array is None:
+                raise InputError(images.name, f"{image.name} has no {name}, which training needs")
+        return _scaled(image, self._labels, self._width)
+
+
+def _augmentation(size: tuple[int, int], strength: float) -> Augmentation:
+    """Random changes of a strength from 0 to 2; at 0, crops are moved only."""
+    crop = RandomResizedCrop(size, scale=(0.5**strength, 2.0**strength))
+    if strength == 0:
+        return Augmentation((crop,))
+    spread = min(1.0, 0.25 * strength)
+    jitter = ColourJitter(
+        brightness=spread,
+        contrast=spread,
+        saturation=spread,
+        hue=0.02 * strength,
+        gamma=min(1.0, 0.2 * strength),
+        gains=0.06 * strength,
+    )
+    blur, noise = RandomBlur(sigma_px=1.5 * strength), RandomNoise(sigma=8.0 * strength)
+    return Augmentation((RandomFlip(), crop, jitter, blur, noise, RandomJpeg()))
+
+
+def _scaled(
+    image: LabelledImage, labels: ClassTable, width: int | None
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Colour and class indices at a width; labels are not interpolated."""
+    assert image.colour is not None and image.classes is not None
+    indices = labels.indices(image.classes)
+    if width is None or image.size[1] == width:
+        return image.colour, indices
+    size = (width, max(1, round(image.size[0] * width / image.size[1])))
+    colour = Image.fromarray(image.colour).resize(size, Image.Resampling.BILINEAR)
+    mask = Image.fromarray(indices).resize(size, Image.Resampling.NEAREST)
+    return np.asarray(colour), np.asarray(mask)
