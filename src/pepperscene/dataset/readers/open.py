@@ -82,7 +82,7 @@ def open_images(
         path: a data set of this package, the published data set or an export in its layout, or any folder of
             images with masks.
         half: "synthetic" or "empirical", if the published data set holds both.
-        labels: meaning of the masks of a folder: a name ("published", "montoya2021"), or a table from mask
+        labels: meaning of the masks of a folder: a name of `KNOWN_LABELS`, or a table from mask
             values or colours to classes (see `parse_labels`); None reads the folder's `classes.toml`.
 
     Raises:
