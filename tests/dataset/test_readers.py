@@ -380,5 +380,5 @@ def test_rejects_arguments_of_another_layout(tmp_path, small):
     with pytest.raises(InputError, match="applies only to the published data set"):
         open_images(small.folder, half="synthetic")
     save(tmp_path, "photos/a.png", photo())
-    with pytest.raises(InputError, match="must be a table or one of published, montoya2021, .*, not 'voc'"):
+    with pytest.raises(InputError, match=r"must be a table or one of published, montoya2021, .*, not 'voc'"):
         open_images(tmp_path / "photos", labels="voc")

@@ -135,7 +135,8 @@ def test_tables_state_measures_and_confusion():
     text = evaluate(ReadsRed(changes={2: 3}), image_set(*MASKS), classes=FRUIT).format()
     lines = text.splitlines()
     assert lines[0] == "IoU: toy, 6 of 6 images"
-    assert lines[1].split() == "class IoU, % [95 %] precision, % recall, % share of pixels, %".split()
+    assert lines[1].startswith("class     IoU, % [95 %]")
+    assert lines[1].endswith("share of pixels, %")
     assert lines[2].startswith("other     100.0 [100.0, 100.0]  100.0 [100.0, 100.0]")
     assert lines[3].startswith("fruit     0.0 [0.0, 0.0]")
     assert any(line.split() == ["fruit", "0.0", "0.0", "100.0"] for line in lines)

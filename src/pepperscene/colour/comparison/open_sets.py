@@ -10,6 +10,7 @@ from pepperscene.colour.patches.open import open_patches
 from pepperscene.colour.patches.patch import PatchSet
 from pepperscene.dataset import ImageSet
 from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.readers.coco import coco_files
 from pepperscene.dataset.readers.labels import LABEL_FILE
 from pepperscene.dataset.readers.published import published_halves
 from pepperscene.dataset.store.dataset import MARK
@@ -54,7 +55,8 @@ def open_two_sets(
     paths = (Path(first), Path(second))
     halves = [len(published_halves(path)) if path.is_dir() else 0 for path in paths]
     plain = [
-        path.is_dir() and not n and not (path / MARK).exists() for path, n in zip(paths, halves, strict=True)
+        path.is_dir() and not n and not (path / MARK).exists() and not coco_files(path)
+        for path, n in zip(paths, halves, strict=True)
     ]
     # A name applies to the folders without a table of labels, or to all if every folder has one.
     without_table = [

@@ -89,7 +89,7 @@ def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
     colours: dict[Colour, int] = {}
     otherwise: int | None = None
     for key, organ_class in table.items():
-        class_id = _parse_class(organ_class, str(key), source)
+        class_id = parse_class(organ_class, str(key), source)
         if key == "otherwise":
             otherwise = class_id
         elif (colour := _parse_colour(key)) is not None:
@@ -110,7 +110,14 @@ def read_labels(folder: Path) -> LabelMap | None:
     return parse_labels(read_toml(path), path) if path.exists() else None
 
 
-def _parse_class(organ_class: Any, key: str, source: str | Path) -> int:
+def parse_class(organ_class: Any, key: str, source: str | Path) -> int:
+    """Class id of an `OrganClass`, its name in lower case, its id, or "void" or None; else `InputError`.
+
+    Args:
+        organ_class: as a user writes it.
+        key: that it belongs to, for messages.
+        source: file or argument that holds it, for messages.
+    """
     if organ_class is None:
         return VOID
     if isinstance(organ_class, str) and organ_class in _CLASS_IDS:

@@ -148,7 +148,7 @@ def _collect_readers(sources: Sequence[Source], half: str | None) -> dict[str, _
 def _readers_of(source: Source, half: str | None) -> Iterator[tuple[str, _Reader]]:
     if not isinstance(source, ImageSet):
         path = Path(source)
-        if not path.is_dir():
+        if not path.is_dir() and path.suffix != ".json":
             if not path.exists():
                 raise InputError(path, "must be a folder of images or a picture")
             yield path.stem, lambda: read_photo(path)
