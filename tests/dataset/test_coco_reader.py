@@ -114,20 +114,6 @@ def test_own_export_of_some_classes_leaves_the_rest_void(painted, tmp_path):
         np.testing.assert_array_equal(image.classes, np.where(fruit, truth, OrganClass.BACKGROUND))
 
 
-@pytest.mark.parametrize("classes", [None, "pepper"])
-def test_ignored_pixels_of_an_export_are_void(far, tmp_path, classes):
-    out = export_dataset(far.folder, "coco", tmp_path / "out", classes=classes).folder
-    ignored = 0
-    for image in open_images(out):
-        truth = far.image(int(image.name), "class")
-        if classes is None:
-            np.testing.assert_array_equal(image.classes, truth)
-        assert (image.classes[truth == VOID] == VOID).all()
-        assert (image.instances[truth == VOID] == 0).all()
-        ignored += int((truth == VOID).sum())
-    assert ignored > 0
-
-
 # --- files of other programs --------------------------------------------------------------------------------
 
 

@@ -53,13 +53,13 @@ def evaluate(
     json: JsonOption = False,
 ) -> None:
     """Compare a model's predictions with the masks of images: IoU, precision, recall and confusion."""
-    from pepperscene.dataset.readers import open_images
+    from pepperscene.dataset.readers.several import open_image_sets
     from pepperscene.learning.evaluation.evaluate import evaluate as evaluate_model
     from pepperscene.learning.evaluation.page import write_evaluation
 
     # Open everything before the first image is predicted.
     table = _parse_classes(classes)
-    images = [open_images(folder, labels=labels, half=half) for folder in sets]
+    images = open_image_sets(sets, labels=labels, half=half)
     if out is not None:
         _check_output(out)
     network = _load_model(model)
