@@ -196,6 +196,18 @@ def test_coco_evaluation_ignores_detections_of_any_class_in_ignored_pixels(coco,
     assert precision(detections(90)).mean() < 0.9
 
 
+@pytest.mark.parametrize("classes", [None, "pepper"])
+def test_ignored_pixels_of_a_coco_export_are_read_as_void(ignoring, region, tmp_path, classes):
+    pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
+    out = export_dataset(ignoring.folder, "coco", tmp_path / "out", classes=classes).folder
+    for image in open_images(out):
+        truth = ignoring.image(int(image.name), "class")
+        # With fewer classes, the rest of the image may be of any of the others.
+        expected = truth if classes is None else np.where(truth == OrganClass.PEPPER, truth, IGNORE_CLASS)
+        np.testing.assert_array_equal(image.classes, expected)
+        assert not image.instances[region].any()
+
+
 def test_ignored_pixels_are_void_in_panoptic_images(coco, region):
     panoptic = json.loads((coco / "annotations" / "panoptic_train.json").read_text())
     for record in panoptic["annotations"]:

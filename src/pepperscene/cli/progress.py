@@ -234,6 +234,26 @@ def export_progress() -> Iterator[Callable[[int, int, int], None]]:
 
 
 @contextmanager
+def image_progress(verb: str) -> Iterator[Callable[[int, int], None]]:
+    """Callback for each image of a set: a bar on a terminal, lines elsewhere.
+
+    Args:
+        verb: what is done with an image, as a participle ("evaluated").
+    """
+    if sys.stderr.isatty():
+        with _simple_bar(verb, transient=True) as (bar, task):
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    throttle = _Throttle()
+
+    def print_line(done: int, total: int) -> None:
+        if total > _EVERY_LINE and throttle.is_due(done, total):
+            echo_progress(f"{done:,} of {total:,} images {verb}")
+
+    yield print_line
+
+
+@contextmanager
 def _simple_bar(description: str, *, transient: bool) -> Iterator[tuple[Progress, TaskID]]:
     from rich.console import Console
     from rich.progress import Progress

@@ -42,8 +42,8 @@ class ClassTable:
         """Read a table from text.
 
         Args:
-            text: comma-separated classes, each the name of an organ class or `name=organ+organ`; organ classes
-                that do not occur are dropped. None stands for all eight.
+            text: comma-separated classes, each the name of an organ class or `name=organ+organ`; organ
+                classes that do not occur are dropped. None stands for all eight.
             where: name of the argument, for messages.
 
         Raises:
@@ -56,7 +56,9 @@ class ClassTable:
         for part in (part.strip() for part in text.split(",")):
             name, _, organs = (piece.strip() for piece in part.partition("="))
             if not _NAME.fullmatch(name):
-                raise ArgumentError(where, f"a class is named in lower-case letters, digits and _, not {name!r}")
+                raise ArgumentError(
+                    where, f"a class is named in lower-case letters, digits and _, not {name!r}"
+                )
             parts = [organ.strip() for organ in (organs or name).split("+")]
             for organ in parts:
                 if organ not in _IDS:
@@ -89,20 +91,20 @@ class ClassTable:
         return np.array([CLASS_COLOURS[min(ids)] for ids in self.members], np.uint8)
 
     def indices(self, class_ids: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Index of the class of each pixel, from ids of `OrganClass`; `IGNORE_CLASS` where it is dropped or void."""
+        """Index of the class of each pixel, from ids of `OrganClass`; `IGNORE_CLASS` if dropped or void."""
         lookup = np.full(256, IGNORE_CLASS, np.uint8)
         for index, ids in enumerate(self.members):
             lookup[list(ids)] = index
         return lookup[class_ids]
 
     def merging(self, finer: ClassTable, where: str = "classes") -> NDArray[np.float32]:
-        """Matrix `(len(self), len(finer))` of zeros and ones that adds probabilities of a finer table's classes.
+        """Matrix `(len(self), len(finer))` of 0 and 1 that adds probabilities of a finer table's classes.
 
         A class of the finer table whose organ classes are all dropped here has a column of zeros.
 
         Raises:
-            InputError: a class of the finer table belongs to two classes of this one or only partly to one, or a
-                class of this one holds no class of the finer table.
+            InputError: a class of the finer table belongs to two classes of this one or only partly to one,
+                or a class of this one holds no class of the finer table.
         """
         matrix = np.zeros((len(self), len(finer)), np.float32)
         for column, (name, ids) in enumerate(zip(finer.names, finer.members, strict=True)):

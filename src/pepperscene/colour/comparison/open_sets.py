@@ -10,9 +10,7 @@ from pepperscene.colour.patches.open import open_patches
 from pepperscene.colour.patches.patch import PatchSet
 from pepperscene.dataset import ImageSet
 from pepperscene.dataset.readers import open_images
-from pepperscene.dataset.readers.labels import LABEL_FILE
-from pepperscene.dataset.readers.published import published_halves
-from pepperscene.dataset.store.dataset import MARK
+from pepperscene.dataset.readers.several import half_targets, label_targets
 from pepperscene.errors import ArgumentError, InputError
 
 
@@ -52,19 +50,8 @@ def open_two_sets(
         InputError: see `open_set`; or an option applies to neither set.
     """
     paths = (Path(first), Path(second))
-    halves = [len(published_halves(path)) if path.is_dir() else 0 for path in paths]
-    plain = [
-        path.is_dir() and not n and not (path / MARK).exists() for path, n in zip(paths, halves, strict=True)
-    ]
-    # A name applies to the folders without a table of labels, or to all if every folder has one.
-    without_table = [
-        is_plain and not (path / LABEL_FILE).exists() for path, is_plain in zip(paths, plain, strict=True)
-    ]
-    label_targets = without_table if any(without_table) else plain
-    both_halves = [count > 1 for count in halves]
-    half_targets = both_halves if any(both_halves) else [count > 0 for count in halves]
-    all_labels = _split_option("labels", labels, label_targets, "a folder of images with masks")
-    all_halves = _split_option("half", half, half_targets, "the published data set")
+    all_labels = _split_option("labels", labels, label_targets(paths), "a folder of images with masks")
+    all_halves = _split_option("half", half, half_targets(paths), "the published data set")
     return (
         open_set(paths[0], labels=all_labels[0], half=all_halves[0]),
         open_set(paths[1], labels=all_labels[1], half=all_halves[1]),

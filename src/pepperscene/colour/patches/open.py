@@ -29,6 +29,9 @@ UNRIPE, RIPE = "pepper.unripe", "pepper.ripe"
 _MONTOYA: Final[Mapping[str, tuple[int, ...]]] = {UNRIPE: (1,), RIPE: (2, 4)}
 """Values of the fruit masks of Montoya Cavero & Escobedo 2021: green; red and yellow."""
 
+_MONTOYA_TABLES: Final = ("montoya2021", "montoya2021_background")
+"""Names of the label tables of those masks."""
+
 _MAX_KIND_PX: Final = 2_000_000
 """Pixels of one kind that are kept of a set: 54 MB. Chosen: the standard error of a mean of so many is a
 thousandth of their spread, and a million pictures still contribute some pixels each."""
@@ -160,7 +163,7 @@ def _ripeness_masks(images: ImageSet, picture: LabelledImage) -> Mapping[str, ND
     """Masks `(h, w)` of the ripeness stages, as far as the picture has them."""
     if (
         isinstance(images, FolderSet)
-        and images.labels is KNOWN_LABELS["montoya2021"]
+        and any(images.labels is KNOWN_LABELS[name] for name in _MONTOYA_TABLES)
         and "mask" in picture.metadata
     ):
         values = read_mask(Path(picture.metadata["mask"])).values

@@ -89,7 +89,7 @@ def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
     colours: dict[Colour, int] = {}
     otherwise: int | None = None
     for key, organ_class in table.items():
-        class_id = _parse_class(organ_class, str(key), source)
+        class_id = parse_class(organ_class, str(key), source)
         if key == "otherwise":
             otherwise = class_id
         elif (colour := _parse_colour(key)) is not None:
@@ -110,7 +110,14 @@ def read_labels(folder: Path) -> LabelMap | None:
     return parse_labels(read_toml(path), path) if path.exists() else None
 
 
-def _parse_class(organ_class: Any, key: str, source: str | Path) -> int:
+def parse_class(organ_class: Any, key: str, source: str | Path) -> int:
+    """Class id of an `OrganClass`, its name in lower case, its id, or "void" or None; else `InputError`.
+
+    Args:
+        organ_class: as a user writes it.
+        key: that it belongs to, for messages.
+        source: file or argument that holds it, for messages.
+    """
     if organ_class is None:
         return VOID
     if isinstance(organ_class, str) and organ_class in _CLASS_IDS:
@@ -143,18 +150,21 @@ PALETTE: Final = LabelMap(
 )
 """The published colours and that of ignored pixels, which colour masks mean unless a table says otherwise."""
 
+_MONTOYA_2021: Final = {1: "pepper", 2: "pepper", 3: "peduncle", 4: "pepper", 5: "peduncle", 6: "peduncle"}
+"""Montoya Cavero and Escobedo 2021, "Sweet Pepper and Peduncle Segmentation": green fruit, red fruit, green
+peduncle, yellow fruit, red peduncle, yellow peduncle; 0 is all else, leaves and stems included."""
+
 KNOWN_LABELS: Final[Mapping[str, LabelMap]] = MappingProxyType(
     {
         # The ids of the published set, and of this package's class images.
         "published": LabelMap(
             "'published'", {**{int(organ): int(organ) for organ in OrganClass}, VOID: VOID}, PALETTE.colours
         ),
-        # Montoya Cavero and Escobedo 2021, "Sweet Pepper and Peduncle Segmentation": green fruit, red fruit,
-        # green peduncle, yellow fruit, red peduncle; all else, leaves and stems included, is one background,
-        # which is therefore void.
-        "montoya2021": parse_labels(
-            {0: "void", 1: "pepper", 2: "pepper", 3: "peduncle", 4: "pepper", 5: "peduncle", 255: "void"},
-            "'montoya2021'",
+        # Its background is of several classes, and therefore void,
+        "montoya2021": parse_labels({0: "void", **_MONTOYA_2021, 255: "void"}, "'montoya2021'"),
+        # or "background", for class tables that put all these classes into one.
+        "montoya2021_background": parse_labels(
+            {0: "background", **_MONTOYA_2021, 255: "void"}, "'montoya2021_background'"
         ),
     }
 )

@@ -9,6 +9,7 @@ from typing import Any, Final, Self, final
 
 from numpy.typing import NDArray
 
+from pepperscene.dataset.readers.coco import coco_files, open_coco
 from pepperscene.dataset.readers.folder import FolderSet
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage, image_of_files
 from pepperscene.dataset.readers.labels import LabelMap
@@ -79,17 +80,21 @@ def open_images(
     """Open the labelled images of a folder; each is read on access.
 
     Args:
-        path: a data set of this package, the published data set or an export in its layout, or any folder of
-            images with masks.
+        path: a data set of this package; the published data set or an export in its layout; a file of COCO
+            instances, or a folder with `annotations.json` or one such file in `annotations/`; or any folder
+            of images with masks.
         half: "synthetic" or "empirical", if the published data set holds both.
-        labels: meaning of the masks of a folder: a name ("published", "montoya2021"), or a table from mask
-            values or colours to classes (see `parse_labels`); None reads the folder's `classes.toml`.
+        labels: meaning of the masks of a folder: a name of `KNOWN_LABELS`, or a table from mask values or
+            colours to classes (see `parse_labels`); for COCO, a table from names of categories to classes,
+            with `otherwise` for pixels without an annotation (see `CocoSet`). None reads the folder's
+            `classes.toml`.
 
     Raises:
         InputError: the folder is missing, holds no images, or an argument does not apply to its layout.
     """
     folder = Path(path)
-    if not folder.is_dir():
+    is_coco_file = folder.suffix == ".json" and folder.is_file()
+    if not folder.is_dir() and not is_coco_file:
         raise InputError(folder, "must be a folder of images")
     rendered, published = (folder / MARK).exists(), bool(published_halves(folder))
     if half is not None and not published:
@@ -101,4 +106,6 @@ def open_images(
         return RenderedSet.from_dataset(open_dataset(folder))
     if published:
         return PublishedSet.from_folder(folder, half)
+    if is_coco_file or coco_files(folder):
+        return open_coco(folder, labels)
     return FolderSet.from_folder(folder, labels)

@@ -1,0 +1,1 @@
+"""Evaluation of trained models on labelled images, and predictions for images."""

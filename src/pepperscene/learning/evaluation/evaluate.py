@@ -1,0 +1,164 @@
+"""Evaluation of a model on labelled images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import IGNORE_CLASS, OrganClass
+from pepperscene.colour.comparison.bootstrap import bootstrap_weights
+from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.report.data import evenly_spaced
+from pepperscene.errors import ArgumentError, InputError
+from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.evaluation.confusion import confusion_matrix, measure_classes
+from pepperscene.learning.evaluation.evaluation import EvaluatedImage, EvaluatedSet, Evaluation
+from pepperscene.learning.evaluation.objects import ObjectCounts, count_objects, measure_objects
+from pepperscene.learning.evaluation.segmenter import Segmenter, predict_classes
+
+OnProgress = Callable[[int, int], None]
+"""Called after each image with the number of images done and of all."""
+
+_FIELDS: Final = ("colour", "classes", "instances")
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """An evaluated image and its weights in the bootstrap."""
+
+    image: EvaluatedImage
+    weights: NDArray[np.float64]
+
+
+def evaluate(
+    model: Segmenter,
+    sets: ImageSet | Sequence[ImageSet],
+    *,
+    classes: ClassTable | None = None,
+    limit: int | None = None,
+    on_progress: OnProgress | None = None,
+) -> Evaluation:
+    """Compare a model's predictions with the masks of images.
+
+    All pixels of all sets are counted in one confusion matrix, of which the IoU is computed. Images without a
+    mask are left out and counted. Intervals are those of the Bayesian bootstrap over images.
+
+    Args:
+        model: a trained model.
+        sets: one or more sets of images.
+        classes: to evaluate, to which the model's are merged; None for the model's. A class of the model
+            that belongs to none of them is never predicted, and its pixels in the masks are ignored.
+        limit: most images of each set, evenly spaced; None for all.
+        on_progress: called after each image.
+
+    Raises:
+        InputError: a set is empty, has no masks, an image without colours, or no pixel of any of the classes;
+            or the model's classes cannot be merged to `classes`.
+    """
+    sets = (sets,) if isinstance(sets, ImageSet) else tuple(sets)
+    _check_sets(sets, limit)
+    table = model.classes if classes is None else classes
+    merging = None if classes is None else classes.merging(model.classes)
+
+    # Compare each image with its mask.
+    positions = [evenly_spaced(len(item), len(item) if limit is None else limit) for item in sets]
+    total, done = sum(map(len, positions)), 0
+    measured: list[_Measured] = []
+    summaries = []
+    for number, (images, chosen) in enumerate(zip(sets, positions, strict=True)):
+        before = len(measured)
+        for position, image in _read_images(images, chosen):
+            if image.classes is not None:
+                measured.append(_measure_image(model, table, merging, image, (number, position)))
+            done += 1
+            if on_progress is not None:
+                on_progress(done, total)
+        evaluated = [item.image for item in measured[before:]]
+        _check_labels(images.name, evaluated, table)
+        count = len(evaluated)
+        summaries.append(EvaluatedSet(images.name, len(images), count, len(chosen) - count))
+
+    # Measures of the sums over the images.
+    weights = [item.weights for item in measured]
+    measures = measure_classes([item.image.matrix for item in measured], weights)
+    objects = [item.image.objects for item in measured if item.image.objects is not None]
+    fruit = measure_objects(objects, weights) if objects else None
+    evaluated_images = tuple(item.image for item in measured)
+    return Evaluation(table, tuple(summaries), evaluated_images, measures, fruit_class(table), fruit)
+
+
+def fruit_class(classes: ClassTable) -> int | None:
+    """Index of the class whose regions are fruit: the one that holds `pepper` and nothing else.
+
+    In a class that holds other organs too, the regions are not fruit.
+    """
+    fruit = frozenset({int(OrganClass.PEPPER)})
+    return classes.members.index(fruit) if fruit in classes.members else None
+
+
+def _check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
+    if not sets:
+        raise ArgumentError("sets", "must hold at least one set of images")
+    if limit is not None and limit < 1:
+        raise ArgumentError("limit", f"must be at least 1, not {limit}")
+    for images in sets:
+        if not len(images):
+            raise InputError(images.name, "holds no images")
+
+
+def _read_images(images: ImageSet, positions: Sequence[int]) -> Iterator[tuple[int, LabelledImage]]:
+    """The images at these positions, of which only what evaluation needs is read."""
+    selected = images.select(*_FIELDS)
+    for position in positions:
+        yield position, selected[position]
+
+
+def _measure_image(
+    model: Segmenter,
+    table: ClassTable,
+    merging: NDArray[np.float32] | None,
+    image: LabelledImage,
+    place: tuple[int, int],
+) -> _Measured:
+    """Evaluate one image that has a mask; `place` is the number of its set and its position there."""
+    truth, prediction = label_image(model, table, merging, image)
+    matrix = confusion_matrix(truth, prediction, len(table))
+    objects = _count_fruit(table, truth, prediction, image)
+    assert image.colour is not None
+    weights = bootstrap_weights(np.ascontiguousarray(image.colour).tobytes())
+    return _Measured(EvaluatedImage(*place, image.name, matrix, objects), weights)
+
+
+def label_image(
+    model: Segmenter, table: ClassTable, merging: NDArray[np.float32] | None, image: LabelledImage
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Truth and prediction of an image that has a mask, `(h, w)` indices of `table`.
+
+    Raises:
+        InputError: the image has no colours.
+    """
+    if image.colour is None:
+        raise InputError(image.name, "has no colours, from which a model predicts")
+    assert image.classes is not None
+    return table.indices(image.classes), predict_classes(model, image.colour, merging)
+
+
+def _count_fruit(
+    table: ClassTable, truth: NDArray[np.uint8], prediction: NDArray[np.uint8], image: LabelledImage
+) -> ObjectCounts | None:
+    fruit = fruit_class(table)
+    if fruit is None:
+        return None
+    return count_objects(truth == fruit, prediction == fruit, truth == IGNORE_CLASS, image.instances)
+
+
+def _check_labels(name: str, images: Sequence[EvaluatedImage], table: ClassTable) -> None:
+    """Raise `InputError` if nothing in a set can be evaluated."""
+    if not images:
+        raise InputError(name, "holds no image with a mask")
+    if not any(image.matrix.any() for image in images):
+        raise InputError(name, f"has no labelled pixel of any of the classes {', '.join(table.names)}")

@@ -1,0 +1,172 @@
+"""Evaluation of models whose predictions are known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from toy_models import ORGANS, Constant, ListedImages, ReadsRed, image_set, random_masks
+
+from pepperscene.classes import IGNORE_CLASS
+from pepperscene.dataset.readers.image_set import LabelledImage
+from pepperscene.errors import ArgumentError, InputError
+from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
+from pepperscene.learning.evaluation.evaluate import evaluate, fruit_class
+
+MASKS = random_masks(6)
+FRUIT = ClassTable.parse(FRUIT_CLASSES)
+
+
+def values(estimates):
+    return [estimate.value for estimate in estimates]
+
+
+def test_a_model_that_gives_the_truth_has_an_iou_of_one():
+    result = evaluate(ReadsRed(), image_set(*MASKS))
+    assert values(result.measures.iou) == [1.0] * 8
+    mean = result.measures.mean_iou
+    assert (mean.value, mean.low, mean.high) == (1.0, 1.0, 1.0)
+    assert result.matrix.sum() == sum((mask != IGNORE_CLASS).sum() for mask in MASKS)
+    assert result.shares().sum() == pytest.approx(1)
+
+
+def test_a_constant_model_has_the_share_of_its_class_and_otherwise_zero():
+    result = evaluate(Constant((0, 0, 1, 0, 0, 0, 0, 0)), image_set(*MASKS))
+    labelled = np.concatenate([mask[mask != IGNORE_CLASS] for mask in MASKS])
+    expected = [0.0] * 8
+    expected[2] = np.mean(labelled == 2)
+    assert values(result.measures.iou) == pytest.approx(expected)
+    assert result.measures.precision[2].value == pytest.approx(expected[2])
+    assert values(result.measures.recall) == [0, 0, 1, 0, 0, 0, 0, 0]
+    assert result.measures.precision[0].why == "the class is not predicted"
+    # Of equal probabilities the first class is predicted.
+    assert evaluate(Constant((0.125,) * 8), image_set(*MASKS)).measures.recall[0].value == 1
+
+
+def test_swapped_classes_are_noticed():
+    result = evaluate(ReadsRed(changes={2: 3, 3: 2}), image_set(*MASKS))
+    assert values(result.measures.iou) == [1, 1, 0, 0, 1, 1, 1, 1]
+    assert result.matrix[2, 3] == sum((mask == 2).sum() for mask in MASKS)
+    assert result.matrix[2, 2] == 0
+
+
+def test_classes_are_merged_before_the_most_probable_is_chosen():
+    # Pepper is the most probable of the eight classes, but less so than all others together.
+    model = Constant((0.2, 0.2, 0.3, 0.1, 0.2, 0, 0, 0))
+    assert evaluate(model, image_set(*MASKS)).measures.recall[2].value == 1
+    result = evaluate(model, image_set(*MASKS), classes=FRUIT)
+    assert result.classes == FRUIT
+    assert values(result.measures.recall) == [1, 0, 0]
+    assert evaluate(ReadsRed(), image_set(*MASKS), classes=FRUIT).measures.mean_iou.value == 1
+
+
+def test_dropped_classes_are_neither_truth_nor_predicted():
+    table = ClassTable.parse("pepper,peduncle")
+    # The background, most probable everywhere, is no class here.
+    result = evaluate(Constant((0.6, 0, 0.3, 0.1, 0, 0, 0, 0)), image_set(*MASKS), classes=table)
+    peppers, peduncles = (sum((mask == value).sum() for mask in MASKS) for value in (2, 3))
+    assert result.matrix.tolist() == [[peppers, 0], [peduncles, 0]]
+
+
+def test_several_sets_are_one_sum_and_a_limit_takes_evenly_spaced_images():
+    first, second = image_set(*MASKS[:4], name="first"), image_set(*MASKS[4:], name="second")
+    done = []
+    result = evaluate(ReadsRed(), [first, second], on_progress=lambda *count: done.append(count))
+    assert done == [(k, 6) for k in range(1, 7)]
+    assert [(image.set_number, image.position) for image in result.images] == [
+        (0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1),
+    ]  # fmt: skip
+    np.testing.assert_array_equal(result.matrix, evaluate(ReadsRed(), image_set(*MASKS)).matrix)
+    limited = evaluate(ReadsRed(), [first, second], limit=2)
+    assert [(image.set_number, image.position) for image in limited.images] == [
+        (0, 0),
+        (0, 3),
+        (1, 0),
+        (1, 1),
+    ]
+    assert [(item.available, item.evaluated) for item in limited.sets] == [(4, 2), (2, 2)]
+
+
+def test_images_without_masks_are_counted_and_left_out():
+    result = evaluate(ReadsRed(), image_set(None, MASKS[0], None))
+    assert (result.sets[0].available, result.sets[0].evaluated, result.sets[0].unlabelled) == (3, 1, 2)
+    assert "toy: 2 images have no mask" in result.format()
+    assert "a single image gives no intervals" in result.format()
+
+
+def test_fruit_are_objects_by_instances_or_regions():
+    ids = np.zeros((20, 40), np.uint8)
+    ids[5:15, 5:25] = 2
+    instances = np.where(ids == 2, 1 + (np.arange(40) >= 15), 0)
+    regions = evaluate(ReadsRed(), image_set(ids))
+    assert (regions.fruit.counts.matched, regions.fruit.counts.truth) == (1, 1)
+    separate = evaluate(ReadsRed(), image_set(ids, instances=[instances]))
+    assert (separate.fruit.counts.matched, separate.fruit.counts.truth) == (0, 2)
+    assert "Fruit as objects" in separate.format()
+    # The class of fruit holds nothing else; without one there are no objects.
+    assert (fruit_class(ORGANS), fruit_class(FRUIT)) == (2, 1)
+    merged = ClassTable.parse("plant=leaf+pepper,background")
+    assert fruit_class(merged) is None
+    result = evaluate(ReadsRed(), image_set(ids), classes=merged)
+    assert result.fruit is None
+    assert result.to_json()["fruit"] is None
+    assert "Fruit" not in result.format()
+
+
+def test_json_is_complete_and_finite():
+    masks = [np.where(mask == 7, 0, mask) for mask in MASKS]
+    result = evaluate(ReadsRed(changes={2: 3}), image_set(*masks))
+    content = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert content["format"] == "pepperscene evaluation 1"
+    assert [entry["name"] for entry in content["classes"]] == list(ORGANS.names)
+    assert content["classes"][7]["iou"] == {
+        "value": None, "low": None, "high": None, "why": "the class is neither in the masks nor predicted",
+    }  # fmt: skip
+    assert (
+        np.sum([image["confusion"] for image in content["images"]], axis=0).tolist() == content["confusion"]
+    )
+    assert [image["name"] for image in content["images"]] == [f"image{k}" for k in range(6)]
+    mean = content["mean_iou"]
+    assert mean["low"] <= mean["value"] <= mean["high"]
+
+
+def test_tables_state_measures_and_confusion():
+    text = evaluate(ReadsRed(changes={2: 3}), image_set(*MASKS), classes=FRUIT).format()
+    lines = text.splitlines()
+    assert lines[0] == "IoU: toy, 6 of 6 images"
+    assert lines[1].startswith("class     IoU, % [95 %]")
+    assert lines[1].endswith("share of pixels, %")
+    assert lines[2].startswith("other     100.0 [100.0, 100.0]  100.0 [100.0, 100.0]")
+    assert lines[3].startswith("fruit     0.0 [0.0, 0.0]")
+    assert any(line.split() == ["fruit", "0.0", "0.0", "100.0"] for line in lines)
+
+
+def test_rejects_sets_that_cannot_be_evaluated():
+    model = ReadsRed()
+    with pytest.raises(ArgumentError, match="sets: must hold at least one set"):
+        evaluate(model, [])
+    with pytest.raises(InputError, match="toy: holds no images"):
+        evaluate(model, image_set())
+    with pytest.raises(InputError, match="toy: holds no image with a mask"):
+        evaluate(model, image_set(None, None))
+    with pytest.raises(InputError, match="toy: has no labelled pixel of any of the classes background, leaf"):
+        evaluate(model, image_set(np.full((3, 4), IGNORE_CLASS)))
+    with pytest.raises(InputError, match="has no labelled pixel of any of the classes pepper, peduncle"):
+        evaluate(model, image_set(np.zeros((3, 4))), classes=ClassTable.parse("pepper,peduncle"))
+    with pytest.raises(InputError, match="classes: the model's class other is only partly in wire"):
+        evaluate(Constant((1, 0, 0), FRUIT), image_set(*MASKS), classes=ClassTable.parse("pepper,wire,cut"))
+    with pytest.raises(ArgumentError, match="limit: must be at least 1, not 0"):
+        evaluate(model, image_set(*MASKS), limit=0)
+    blind = ListedImages(name="blind", items=(LabelledImage("a", None, MASKS[0]),))
+    with pytest.raises(InputError, match="a: has no colours"):
+        evaluate(model, blind)
+
+
+def test_rejects_probabilities_that_fit_no_class():
+    with pytest.raises(
+        InputError, match=r"model: gives probabilities of the shape \(7, 12, 16\), not \(8, 12"
+    ):
+        evaluate(Constant((1,) * 7), image_set(*MASKS))
+    with pytest.raises(InputError, match="not finite"):
+        evaluate(Constant((np.nan,) * 8), image_set(*MASKS))

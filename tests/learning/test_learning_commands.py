@@ -1,0 +1,143 @@
+"""The commands `evaluate` and `predict`, with a model that a test defines in place of a trained one."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+from PIL import Image
+from toy_models import ReadsRed, image_set, random_masks
+from typer.testing import CliRunner
+
+from pepperscene.cli import app
+from pepperscene.errors import EXIT_BAD_INPUT, InputError
+from pepperscene.learning.class_table import FRUIT_CLASSES
+
+MASKS = random_masks(4)
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """Function that runs a command line; `load_model` gives a model that reads its file's name only."""
+    models = ModuleType("pepperscene.learning.models")
+
+    def load_model(path):
+        if path.name != "model":
+            raise InputError(path, "is not a trained model")
+        return ReadsRed()
+
+    models.load_model = load_model
+    monkeypatch.setitem(sys.modules, "pepperscene.learning.models", models)
+    monkeypatch.setattr("pepperscene.cli.learning.require_torch", lambda: None)
+    return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def rejects(command):
+    """Function that runs an invalid command line and checks its error: one line with a message."""
+
+    def check(message, *arguments):
+        result = command(*arguments)
+        assert result.exit_code == EXIT_BAD_INPUT, result.output
+        assert result.stdout == ""
+        assert result.stderr.startswith("error: ")
+        assert result.stderr.count("\n") == 1
+        assert message in result.stderr
+
+    return check
+
+
+def write_set(folder, masks=MASKS, offset=0):
+    """A folder of images and masks, whose values are the class ids plus an offset."""
+    folder.mkdir(parents=True)
+    for image in image_set(*masks):
+        Image.fromarray(image.colour).save(folder / f"{image.name}.png")
+        if image.classes is not None:
+            Image.fromarray(image.classes + np.uint8(offset)).save(folder / f"{image.name}_mask.png")
+    return folder
+
+
+@pytest.fixture
+def photos(tmp_path):
+    return write_set(tmp_path / "photos")
+
+
+def test_evaluate_prints_tables_or_json_and_writes_files(command, photos, tmp_path):
+    result = command("evaluate", "model", photos, "--labels", "published", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "IoU: photos, 4 of 4 images" in result.stdout
+    assert "mean        100.0 [100.0, 100.0]" in result.stdout
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "evaluation.html",
+        "evaluation.json",
+    ]
+    options = ("--labels", "published", "--classes", FRUIT_CLASSES, "--limit", 2, "--json")
+    result = command("evaluate", "model", photos, *options)
+    content = json.loads(result.stdout)
+    assert [entry["name"] for entry in content["classes"]] == ["other", "fruit", "peduncle"]
+    assert content["sets"] == [{"name": "photos", "available": 4, "evaluated": 2, "unlabelled": 0}]
+
+
+def test_labels_apply_to_the_sets_that_need_them(command, rejects, photos, tmp_path):
+    other = write_set(tmp_path / "other", [np.minimum(mask, 3) for mask in MASKS[:2]], offset=10)
+    table = {10: "background", 11: "leaf", 12: "pepper", 13: "peduncle"}
+    (other / "classes.toml").write_text("\n".join(f'{value} = "{name}"' for value, name in table.items()))
+    result = command("evaluate", "model", photos, other, "--labels", "published", "--json")
+    assert result.exit_code == 0, result.output
+    assert [item["name"] for item in json.loads(result.stdout)["sets"]] == ["photos", "other"]
+    assert json.loads(result.stdout)["mean_iou"]["value"] == 1
+    rejects("has values", "evaluate", "model", photos)
+    rejects(
+        "--half: applies only to the published data set", "evaluate", "model", other, "--half", "empirical"
+    )
+
+
+def test_predict_writes_class_images(command, photos, tmp_path):
+    result = command("predict", "model", photos, "--out", tmp_path / "out", "--classes", FRUIT_CLASSES)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"4 images predicted: {tmp_path / 'out'}\n"
+    assert len(list((tmp_path / "out" / "class").iterdir())) == 4
+    result = command(
+        "predict", "model", photos / "image0.png", photos / "image1.png", "--out", tmp_path / "b"
+    )
+    assert result.stdout.startswith("2 images predicted")
+
+
+def test_rejects_wrong_input_in_one_sentence(rejects, photos, tmp_path):
+    labels = ("--labels", "published")
+    out = ("--out", tmp_path / "out")
+    rejects("weights: is not a trained model", "evaluate", "weights", photos, *labels)
+    rejects("nowhere: must be a folder of images", "evaluate", "model", "nowhere")
+    rejects("--labels: must be a table or one of", "evaluate", "model", photos, "--labels", "voc")
+    rejects(
+        "--classes: 'apple' is none of background", "evaluate", "model", photos, "--classes", "apple,leaf"
+    )
+    rejects("--classes: there must be two classes", "predict", "model", photos, *out, "--classes", "leaf")
+    without = write_set(tmp_path / "without", [None, None])
+    rejects("without: holds no image with a mask", "evaluate", "model", without)
+    void = write_set(tmp_path / "void", [np.full((5, 5), 255)])
+    rejects("void: has no labelled pixel of any of the classes", "evaluate", "model", void, *labels)
+    (tmp_path / "file").write_text("")
+    rejects("file: is not a folder", "evaluate", "model", photos, *labels, "--out", tmp_path / "file")
+    rejects("photos: holds 'image0.png'", "predict", "model", photos, "--out", photos)
+    broken = photos / "image0.png"
+    broken.write_bytes(broken.read_bytes()[:100])
+    rejects("image0.png: cannot be read as an image", "evaluate", "model", photos, *labels)
+    rejects("image0.png: cannot be read as an image", "predict", "model", photos, *out)
+    rejects("nothing.png: must be a folder of images or a picture", "predict", "model", "nothing.png", *out)
+
+
+def test_says_how_to_install_torch(monkeypatch, photos):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "torch" else find(name, *a)
+    )
+    result = CliRunner().invoke(app, ["evaluate", "model", str(photos), "--labels", "published"])
+    assert result.exit_code == EXIT_BAD_INPUT
+    assert result.stderr == (
+        "error: torch is not installed; install it with `pip install 'pepperscene[learn]'`\n"
+    )

@@ -1,0 +1,124 @@
+"""Class images that `predict` writes."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from toy_models import ORGANS, Constant, ListedImages, ReadsRed, image_set, random_masks
+
+from pepperscene.classes import CLASS_COLOURS
+from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.readers.image_set import LabelledImage
+from pepperscene.errors import InputError, OutputError
+from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
+from pepperscene.learning.evaluation.predict import predict
+
+FRUIT = ClassTable.parse(FRUIT_CLASSES)
+MASKS = random_masks(3, void=False)
+
+
+def values(path):
+    return np.array(Image.open(path))
+
+
+def write_pictures(folder, masks=MASKS):
+    folder.mkdir(parents=True)
+    paths = []
+    for image in image_set(*masks):
+        paths.append(folder / f"{image.name}.png")
+        Image.fromarray(image.colour).save(paths[-1])
+    return paths
+
+
+def test_predicts_a_set_in_ids_of_the_eight_classes(tmp_path):
+    done = []
+    result = predict(ReadsRed(), image_set(*MASKS), tmp_path / "out", on_progress=lambda *k: done.append(k))
+    assert result.names == ("image0", "image1", "image2")
+    assert done == [(1, 3), (2, 3), (3, 3)]
+    for name, mask in zip(result.names, MASKS, strict=True):
+        ids = values(tmp_path / "out" / "class" / f"{name}.png")
+        assert ids.dtype == np.uint8
+        np.testing.assert_array_equal(ids, mask)
+        colours = values(tmp_path / "out" / "class_colour" / f"{name}.png")
+        np.testing.assert_array_equal(colours, np.array(CLASS_COLOURS)[mask])
+    described = json.loads((tmp_path / "out" / "classes.json").read_text())["classes"]
+    assert [entry["index"] for entry in described] == list(range(8))
+    assert [entry["name"] for entry in described] == list(ORGANS.names)
+    assert [tuple(entry["colour"]) for entry in described] == list(CLASS_COLOURS)
+
+
+def test_ids_do_not_depend_on_the_order_of_the_eight_classes(tmp_path):
+    table = ClassTable(ORGANS.names[::-1], ORGANS.members[::-1])
+    predict(ReadsRed(table), image_set(MASKS[0]), tmp_path / "out")
+    np.testing.assert_array_equal(values(tmp_path / "out" / "class" / "image0.png"), MASKS[0])
+
+
+def test_other_classes_are_indices(tmp_path):
+    predict(ReadsRed(), image_set(MASKS[0]), tmp_path / "out", classes=FRUIT)
+    expected = FRUIT.indices(MASKS[0])
+    np.testing.assert_array_equal(values(tmp_path / "out" / "class" / "image0.png"), expected)
+    described = json.loads((tmp_path / "out" / "classes.json").read_text())["classes"]
+    assert [(entry["index"], entry["name"]) for entry in described] == [
+        (0, "other"), (1, "fruit"), (2, "peduncle"),
+    ]  # fmt: skip
+    assert described[0]["members"] == [0, 1, 4, 5, 6, 7]
+
+
+def test_predictions_are_read_back_as_masks(tmp_path):
+    paths = write_pictures(tmp_path / "pictures")
+    predict(ReadsRed(), tmp_path / "pictures", tmp_path / "out")
+    for path in paths:
+        path.rename(tmp_path / "out" / path.name)
+    (tmp_path / "out" / "class_colour").rename(tmp_path / "elsewhere")
+    images = open_images(tmp_path / "out", labels="published")
+    for image, mask in zip(images, MASKS, strict=True):
+        np.testing.assert_array_equal(image.classes, mask)
+
+
+def test_predicts_folders_and_pictures(tmp_path):
+    first = write_pictures(tmp_path / "a")
+    (tmp_path / "b" / "images").mkdir(parents=True)
+    first[2].rename(tmp_path / "b" / "images" / "third.png")
+    result = predict(ReadsRed(), [first[0], tmp_path / "b"], tmp_path / "out")
+    assert result.names == ("image0", "third")
+    np.testing.assert_array_equal(values(tmp_path / "out" / "class" / "third.png"), MASKS[2])
+    # Earlier predictions are replaced.
+    predict(Constant((1, 0, 0, 0, 0, 0, 0, 0)), first[0], tmp_path / "out")
+    assert not values(tmp_path / "out" / "class" / "image0.png").any()
+
+
+def test_rejects_pictures_that_cannot_be_read(tmp_path):
+    path = write_pictures(tmp_path / "a")[0]
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=r"image0.png: cannot be read as an image"):
+        predict(ReadsRed(), path, tmp_path / "out")
+    assert not (tmp_path / "out" / "classes.json").exists()
+    path.write_text("no picture")
+    with pytest.raises(InputError, match=r"image0.png: cannot be read as an image"):
+        predict(ReadsRed(), tmp_path / "a", tmp_path / "out")
+    with pytest.raises(InputError, match=r"missing.png: must be a folder of images or a picture"):
+        predict(ReadsRed(), tmp_path / "missing.png", tmp_path / "out")
+    with pytest.raises(InputError, match="images: must hold at least one image"):
+        predict(ReadsRed(), [], tmp_path / "out")
+    blind = ListedImages(name="blind", items=(LabelledImage("a", None, MASKS[0]),))
+    with pytest.raises(InputError, match="blind: a has no colours"):
+        predict(ReadsRed(), blind, tmp_path / "out")
+
+
+def test_rejects_two_images_of_one_name(tmp_path):
+    for folder in ("a", "b"):
+        write_pictures(tmp_path / folder)
+    with pytest.raises(InputError, match=r"b: holds a second image with the name image0"):
+        predict(ReadsRed(), [tmp_path / "a", tmp_path / "b"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_rejects_a_folder_of_other_files(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"out: holds 'notes.txt'"):
+        predict(ReadsRed(), image_set(*MASKS), tmp_path / "out")
