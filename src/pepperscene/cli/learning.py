@@ -1,4 +1,4 @@
-"""Commands for networks: evaluate and predict."""
+"""Commands for networks: train, evaluate and predict."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from pepperscene.cli.application import (
     handle_errors,
     print_ruled_table,
 )
-from pepperscene.cli.progress import image_progress
-from pepperscene.errors import SetupError
+from pepperscene.cli.progress import image_progress, training_progress
+from pepperscene.errors import InputError, SetupError
 
 if TYPE_CHECKING:
     from pepperscene.learning.class_table import ClassTable
     from pepperscene.learning.evaluation.segmenter import Segmenter
+
+DEFAULT_MODEL = "small"
 
 ModelArgument = Annotated[Path, typer.Argument(metavar="MODEL", help="File of a trained model.")]
 ClassesOption = Annotated[
@@ -32,6 +34,102 @@ ClassesOption = Annotated[
         help="Classes that the model's are merged to (fruit=pepper,other=leaf+stem). Default: the model's.",
     ),
 ]
+
+
+@app.command()
+@handle_errors
+def train(
+    sets: Annotated[
+        list[Path], typer.Argument(metavar="SET...", help="Folders of labelled images, in any layout.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="MODEL", help="New or empty folder for the model.")],
+    validation: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="SET", help="Images that choose the best state of the network; repeatable."),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="small, deeplab_vgg16 or module:factory, with options: small,width=0.5. Default: small.",
+        ),
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(metavar="MODEL", help="Trained model whose weights are adapted.")
+    ] = None,
+    classes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEXT",
+            help="Classes of the labels (fruit=pepper,other=leaf+stem). Default: all eight.",
+        ),
+    ] = None,
+    steps: Annotated[int | None, typer.Option(metavar="N", help="Steps of the optimiser.")] = None,
+    batch: Annotated[int | None, typer.Option(metavar="N", help="Images in a step.")] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of the crops in pixels.")] = "256x256",
+    width: Annotated[
+        int, typer.Option(metavar="PX", help="Width to which images are scaled; 0 keeps their own.")
+    ] = 400,
+    learning_rate: Annotated[float | None, typer.Option(metavar="F", help="Learning rate of Adam.")] = None,
+    schedule: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Of the learning rate: constant or cosine.")
+    ] = None,
+    balance: Annotated[
+        float | None, typer.Option(metavar="F", help="0 weights all pixels alike, 1 all classes.")
+    ] = None,
+    augmentation: Annotated[
+        float, typer.Option(metavar="F", help="Strength of random changes of the images, 0 to 2.")
+    ] = 1.0,
+    validate: Annotated[
+        int | None, typer.Option(metavar="N", help="Steps between validations and checkpoints.")
+    ] = None,
+    precision: Annotated[
+        str, typer.Option(metavar="NAME", help="float32, bfloat16, or auto for the faster one.")
+    ] = "auto",
+    seed: Annotated[int, typer.Option(help="Random seed: weights, crops, dropout.")] = 0,
+    workers: Annotated[int, typer.Option(min=0, metavar="N", help="Processes that read images.")] = 0,
+    device: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Device of torch, such as cpu or cuda:0.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in the folder.")] = False,
+    labels: LabelsOption = None,
+    half: HalfOption = None,
+) -> None:
+    """Train a network to separate the classes of labelled images."""
+    from pepperscene.dataset.readers.several import open_image_sets
+    from pepperscene.learning.training.options import TrainingOptions
+
+    # Find errors in the arguments before torch is imported, which takes seconds.
+    if model is not None and start is not None:
+        raise InputError("--model", "cannot be combined with --start, which has a model")
+    options = TrainingOptions(
+        model or DEFAULT_MODEL, classes, steps, batch, _parse_size(size), width or None, learning_rate,
+        schedule, balance, augmentation, seed, validate, precision,
+    )  # fmt: skip
+    options.completed()
+    opened = open_image_sets([*sets, *(validation or [])], labels=labels, half=half)
+    require_torch()
+    from pepperscene.learning.training.loop import train as train_model
+
+    try:
+        with training_progress() as on_progress:
+            network = train_model(
+                opened[: len(sets)],
+                out,
+                options,
+                validation=opened[len(sets) :],
+                start=start,
+                resume=resume,
+                workers=workers,
+                device=device,
+                on_progress=on_progress,
+            )
+    except KeyboardInterrupt as error:
+        error.add_note("the last checkpoint is kept; run the same command with --resume to go on")
+        raise
+    found = network.training["validation_mean_iou"]
+    quality = "" if found is None else f", mean IoU {found:.3f} of the validation"
+    typer.echo(f"trained, step {network.training['step']:,}{quality}: {out}")
 
 
 @app.command()
@@ -99,6 +197,14 @@ def predict(
         result = predict_images(network, images, out, classes=table, half=half, on_progress=on_progress)
     count = len(result.names)
     typer.echo(f"{count:,} image{'' if count == 1 else 's'} predicted: {result.folder}")
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    """Height and width of a text "WxH"."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isascii() and width.isdecimal() and height.isascii() and height.isdecimal()):
+        raise InputError("--size", f"must be width and height in pixels, such as 256x192, not {text}")
+    return int(height), int(width)
 
 
 def _parse_classes(text: str | None) -> ClassTable | None:

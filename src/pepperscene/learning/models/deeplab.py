@@ -1,8 +1,9 @@
 """DeepLab with VGG-16, the network of the paper (section 2.8).
 
-Chen et al. 2015, "Semantic image segmentation with deep convolutional nets and fully connected CRFs", ICLR: VGG-16
-(Simonyan and Zisserman 2015, ICLR) without its last two strides, with dilated convolutions instead. Their Table 2
-has four forms of the first fully connected layer; the paper's has a field of view of 128 pixels.
+Chen et al. 2015, "Semantic image segmentation with deep convolutional nets and fully connected CRFs", ICLR:
+VGG-16 (Simonyan and Zisserman 2015, ICLR) without its last two strides, with dilated convolutions instead.
+Their Table 2 has four forms of the first fully connected layer; the paper's has a field of view of 128
+pixels.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ _HEADS: Final = {128: (4, 4, 4096), 224: (3, 12, 1024)}
 
 @final
 class DeepLab(nn.Module):
-    """Logits `(n, classes, h, w)` of images `(n, 3, h, w)` in sRGB, 0 to 1; computed at an eighth of the size.
+    """Logits `(n, classes, h, w)` of images `(n, 3, h, w)` in sRGB, 0 to 1, computed at stride 8.
 
     Args:
         classes: number of classes.
-        field: field of view in pixels: 128, as in the paper, with 65 million weights, or 224 ("LargeFOV"), with
-            20 million.
+        field: field of view in pixels: 128, as in the paper, with 65 million weights, or 224 ("LargeFOV"),
+            with 20 million.
         width: factor of the number of channels.
         weights: safetensors file with torchvision's names (`features.0.weight`), of a VGG-16 trained on other
             images; "" to start from random weights.
@@ -88,7 +89,10 @@ def _vgg16(width: float) -> nn.Sequential:
         dilation = 2 if block == 4 else 1
         for size in sizes:
             outputs = max(8, round(width * size))
-            layers += [nn.Conv2d(channels, outputs, 3, padding=dilation, dilation=dilation), nn.ReLU(inplace=True)]
+            layers += [
+                nn.Conv2d(channels, outputs, 3, padding=dilation, dilation=dilation),
+                nn.ReLU(inplace=True),
+            ]
             channels = outputs
         if block < 3:
             layers.append(nn.MaxPool2d(3, stride=2, padding=1))

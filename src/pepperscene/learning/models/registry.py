@@ -64,10 +64,10 @@ def build_model(model: str, classes: int) -> nn.Module:
     """Make a model with random weights from torch's generator.
 
     Args:
-        model: name of `MODELS`, or `module:factory` of a callable that takes the number of classes and returns a
-            `torch.nn.Module`; then options, as in `small,width=0.5`. The module takes images `(n, 3, h, w)` in
-            sRGB, 0 to 1, and returns logits `(n, classes, h', w')`, or a dict with these as "out", as torchvision's
-            models do. Logits of another size are enlarged to that of the images.
+        model: name of `MODELS`, or `module:factory` of a callable that takes the number of classes and
+            returns a `torch.nn.Module`; then options, as in `small,width=0.5`. The module takes images `(n,
+            3, h, w)` in sRGB, 0 to 1, and returns logits `(n, classes, h', w')`, or a dict with these as
+            "out", as torchvision's models do. Logits of another size are enlarged to that of the images.
         classes: number of classes.
 
     Raises:
@@ -98,7 +98,7 @@ def _find_factory(name: str) -> Callable[..., Any]:
         raise ArgumentError("model", f"{module} has no {attribute}") from None
     if not callable(factory):
         raise ArgumentError("model", f"{path} is not callable")
-    return factory  # type: ignore[no-any-return]
+    return factory
 
 
 def _parse_options(model: str, options: list[str], name: str) -> dict[str, Any]:
@@ -107,7 +107,9 @@ def _parse_options(model: str, options: list[str], name: str) -> dict[str, Any]:
     for option in options:
         key, equals, value = (part.strip() for part in option.partition("="))
         if not equals or not key.isidentifier() or key in values:
-            raise ArgumentError("model", f"options are key=value, each once, as in small,width=0.5; not {model!r}")
+            raise ArgumentError(
+                "model", f"options are key=value, each once, as in small,width=0.5; not {model!r}"
+            )
         values[key] = _parse_value(value)
     parameters = inspect.signature(_find_factory(name)).parameters
     takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())

@@ -1,10 +1,10 @@
 """A small network for training on processors without a GPU.
 
-An encoder of residual blocks down to an eighth of half the size, and a decoder with skip connections as in U-Net
-(Ronneberger et al. 2015, "U-Net: convolutional networks for biomedical image segmentation", MICCAI). All layers
-work at half of the image's size or less, where most of the time would be spent otherwise: the last one predicts the
-four pixels of each half-size pixel at once (Shi et al. 2016, "Real-time single image and video super-resolution using
-an efficient sub-pixel convolutional neural network", CVPR).
+An encoder of residual blocks down to an eighth of half the size, and a decoder with skip connections as in
+U-Net (Ronneberger et al. 2015, "U-Net: convolutional networks for biomedical image segmentation", MICCAI).
+All layers work at half of the image's size or less, where most of the time would be spent otherwise: the last
+one predicts the four pixels of each half-size pixel at once (Shi et al. 2016, "Real-time single image and
+video super-resolution using an efficient sub-pixel convolutional neural network", CVPR).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from torch import nn
 from torch.nn import functional
 
 _CHANNELS: Final = (24, 32, 64, 96)
-"""At a half, a quarter, an eighth and a sixteenth of the size. Chosen: 0.9 million weights, and about 2 GFLOP for an
-image of 400 x 300 pixels."""
+"""At a half, a quarter, an eighth and a sixteenth of the size. Chosen: 0.9 million weights, and about 2 GFLOP
+for an image of 400 x 300 pixels."""
 
 _SIXTEENTH: Final = 16
 
@@ -36,7 +36,9 @@ class SmallNetwork(nn.Module):
         half, quarter, eighth, sixteenth = (max(8, round(width * channels / 8) * 8) for channels in _CHANNELS)
         self.stem = _convolution(3, half, stride=2)
         self.quarter = nn.Sequential(_convolution(half, quarter, stride=2), _Residual(quarter))
-        self.eighth = nn.Sequential(_convolution(quarter, eighth, stride=2), _Residual(eighth), _Residual(eighth))
+        self.eighth = nn.Sequential(
+            _convolution(quarter, eighth, stride=2), _Residual(eighth), _Residual(eighth)
+        )
         self.sixteenth = nn.Sequential(
             _convolution(eighth, sixteenth, stride=2),
             # Dilation widens the field of view to most of the image, at no cost.

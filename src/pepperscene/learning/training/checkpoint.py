@@ -12,7 +12,7 @@ from torch import nn
 
 from pepperscene.dataset.store.atomic import write_file
 from pepperscene.errors import InputError
-from pepperscene.learning.models.segmenter import fill_module, read_weights, weights_as_bytes
+from pepperscene.learning.models.trained_model import fill_module, read_weights, weights_as_bytes
 
 STATE_FILE: Final = "state.safetensors"
 FORMAT: Final = "pepperscene training 1"
@@ -62,8 +62,8 @@ def read_state(
     """Fill network and optimiser with the state of a training.
 
     Raises:
-        InputError: the file is damaged, or the training had other options, sets or versions; the first difference
-            is named.
+        InputError: the file is damaged, or the training had other options, sets or versions; the first
+            difference is named.
     """
     file = folder / STATE_FILE
     tensors, description = read_weights(file, FORMAT)

@@ -17,18 +17,20 @@ from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
 
 _COUNTED: Final = 200
-"""Images whose pixels are counted for the frequencies of classes. Chosen: frequencies are known to some percent."""
+"""Images whose pixels are counted for the frequencies of classes. Chosen: frequencies are known to some
+percent."""
 
 _MOST_WEIGHT: Final = 30.0
-"""Of a class, times that of the most frequent one. Chosen: a class of a few pixels must not drown the others."""
+"""Of a class, times that of the most frequent one. Chosen: a class of a few pixels must not drown the
+others."""
 
 
 @final
 class SegmentationLoss(nn.Module):
     """Cross-entropy of labels, whose classes may be mergers of the network's.
 
-    The probability of a merged class is the sum of its members' probabilities, so a network keeps apart what labels do
-    not distinguish.
+    The probability of a merged class is the sum of its members' probabilities, so a network keeps apart what
+    labels do not distinguish.
 
     Args:
         labels: classes of the labels.
@@ -44,7 +46,7 @@ class SegmentationLoss(nn.Module):
         self.register_buffer("weights", torch.tensor(weights, dtype=torch.float32), persistent=False)
 
     def forward(self, logits: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
-        """Mean over all labelled pixels, by weight: logits `(n, k, h, w)`, labels `(n, h, w)` with 255 for void."""
+        """Mean over the labelled pixels, by weight: logits `(n, k, h, w)`, labels `(n, h, w)`, 255 for void."""
         logits = logits.float()
         if not self._is_plain:
             merged = [logits[:, members].logsumexp(dim=1) for members in self._members]

@@ -27,11 +27,11 @@ class TrainingOptions:
         steps: of the optimiser.
         batch: images per step.
         size: height and width in pixels of the crops that the network sees.
-        width: to which images are scaled before they are cropped, and later before they are segmented; None to
-            keep their own.
+        width: to which images are scaled before they are cropped, and later before they are segmented; None
+            to keep their own.
         learning_rate: of Adam, whose other parameters are the paper's (.9, .999, 1e-8).
-        schedule: of the learning rate: "constant", or "cosine": a warm-up of a twentieth of the steps, then half a
-            cosine down to zero.
+        schedule: of the learning rate: "constant", or "cosine": a warm-up of a twentieth of the steps, then
+            half a cosine down to zero.
         balance: the loss weights a class by its frequency to the power of minus this; 0 for equal weights.
         augmentation: strength of random changes of crops: 0 for none, 1 for the usual ones.
         seed: of weights, crops and dropout.
@@ -74,8 +74,12 @@ class TrainingOptions:
     def _check(self) -> None:
         for name in ("steps", "batch", "validate"):
             _require(name, getattr(self, name), getattr(self, name) >= 1, "1 or more")
-        _require("width", self.width, self.width is None or self.width >= _LEAST_SIDE, f"{_LEAST_SIDE} or more")
-        _require("size", self.size, min(self.size) >= _LEAST_SIDE, f"two numbers of pixels, {_LEAST_SIDE} or more")
+        _require(
+            "width", self.width, self.width is None or self.width >= _LEAST_SIDE, f"{_LEAST_SIDE} or more"
+        )
+        _require(
+            "size", self.size, min(self.size) >= _LEAST_SIDE, f"two numbers of pixels, {_LEAST_SIDE} or more"
+        )
         rate = self.learning_rate
         _require("learning_rate", rate, rate is not None and math.isfinite(rate) and rate > 0, "above 0")
         _require("schedule", self.schedule, self.schedule in SCHEDULES, " or ".join(SCHEDULES))

@@ -23,13 +23,15 @@ from pepperscene.learning.training.options import TrainingOptions
 class TrainingSamples(torch.utils.data.Dataset):
     """All crops of a training by number: crop n is the same in every run with the same seed.
 
-    Every image occurs once before one occurs again. A crop is a pair: image `(3, h, w)` uint8, and labels `(h, w)`
-    uint8, indices of the classes or 255.
+    Every image occurs once before one occurs again. A crop is a pair: image `(3, h, w)` uint8, and labels
+    `(h, w)` uint8, indices of the classes or 255.
     """
 
     def __init__(self, sets: Sequence[ImageSet], labels: ClassTable, options: TrainingOptions) -> None:
         self._sets = [images.select("colour", "classes") for images in sets]
-        self._images = [(which, position) for which, images in enumerate(sets) for position in range(len(images))]
+        self._images = [
+            (which, position) for which, images in enumerate(sets) for position in range(len(images))
+        ]
         self._labels, self._seed, self._width = labels, options.seed, options.width
         self._augmentation = _augmentation(options.size, options.augmentation)
 
@@ -75,7 +77,8 @@ def _scaled(
     image: LabelledImage, labels: ClassTable, width: int | None
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Colour and class indices at a width; labels are not interpolated."""
-    assert image.colour is not None and image.classes is not None
+    assert image.colour is not None
+    assert image.classes is not None
     indices = labels.indices(image.classes)
     if width is None or image.size[1] == width:
         return image.colour, indices

@@ -20,8 +20,9 @@ from pepperscene.dataset.store.atomic import check_can_create, write_error, writ
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.confusion import confusion_matrix, mean_intersection_over_union
+from pepperscene.learning.evaluation.segmenter import predict_classes
 from pepperscene.learning.models.registry import build_model
-from pepperscene.learning.models.segmenter import MODEL_FILE, Segmenter, apply_model, load_model
+from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model, load_model
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
 from pepperscene.learning.training.loss import SegmentationLoss, class_weights
 from pepperscene.learning.training.options import TrainingOptions
@@ -61,17 +62,18 @@ def train(
     options: TrainingOptions | None = None,
     *,
     validation: Sequence[ImageSet] = (),
-    start: Segmenter | str | Path | None = None,
+    start: TrainedModel | str | Path | None = None,
     resume: bool = False,
     workers: int = 0,
     device: str | None = None,
     on_progress: Callable[[TrainingProgress], None] | None = None,
-) -> Segmenter:
+) -> TrainedModel:
     """Train a network, and write it into a folder.
 
     The folder holds `model.safetensors` (the network, after the best validation or else the last step),
-    `state.safetensors` (all that a resumption needs) and `training.jsonl` (loss and validations). A training that was
-    killed and is resumed ends with the same bytes as one that was not, on the same machine with the same number of
+    `state.safetensors` (all that a resumption needs) and `training.jsonl` (loss and validations). A training
+    that was killed and is resumed ends with the same bytes as one that was not, on the same machine with the
+    same number of
     threads: crops and dropout depend on the seed and the number of the step alone.
 
     Args:
@@ -79,8 +81,8 @@ def train(
         out: new or empty folder, or that of the training to resume.
         options: see `TrainingOptions`.
         validation: images by which the best state of the network is chosen; none for the last one.
-        start: a trained model to start from. Its model and its classes are kept, so that `options.classes`, in which
-            the labels are read, must be the same or mergers of them.
+        start: a trained model to start from. Its model and its classes are kept, so that `options.classes`,
+            in which the labels are read, must be the same or mergers of them.
         resume: go on with the training in the folder, if there is one.
         workers: processes that read images; 0 for this one. They do not change the result.
         device: of torch, such as "cpu" or "cuda:0"; None for a GPU if there is one.
@@ -90,8 +92,8 @@ def train(
         The network that was written.
 
     Raises:
-        InputError: sets hold no images, no masks, or no pixel of the classes; an option is not allowed; or the folder
-            holds another training.
+        InputError: sets hold no images, no masks, or no pixel of the classes; an option is not allowed; or
+            the folder holds another training.
         OutputError: the folder is not empty, or cannot be written to.
     """
     chosen, folder = (options or TrainingOptions()).completed(), Path(out)
@@ -121,7 +123,7 @@ class _Training:
         options: TrainingOptions,
         sets: Sequence[ImageSet],
         labels: ClassTable,
-        origin: Segmenter | None,
+        origin: TrainedModel | None,
         device: str | None,
         record: Mapping[str, Any],
     ) -> None:
@@ -132,7 +134,7 @@ class _Training:
         if origin is not None:
             module.load_state_dict(origin.module.state_dict())
         module.to(self.device, memory_format=torch.channels_last)
-        self.segmenter = Segmenter(module, options.model, classes, options.width, record)
+        self.trained = TrainedModel(module, options.model, classes, options.width, record)
         weights = class_weights(sets, labels, options.balance or 0.0)
         self.loss = SegmentationLoss(labels, classes, weights).to(self.device)
         assert options.learning_rate is not None
@@ -150,10 +152,12 @@ class _Training:
     ) -> None:
         """Take all steps that are left; validate and write the state at intervals."""
         options = self.options
-        assert options.steps is not None and options.batch is not None and options.validate is not None
+        assert options.steps is not None
+        assert options.batch is not None
+        assert options.validate is not None
         state = TrainingState(0, None, 0, self.record)
         if (folder / STATE_FILE).is_file():
-            state = read_state(folder, self.segmenter.module, self.optimiser, self.record)
+            state = read_state(folder, self.trained.module, self.optimiser, self.record)
         _truncate_log(folder / LOG_FILE, state.step)
         start, begin, losses = state.step, time.monotonic(), []
         for step, batch in enumerate(self._batches(state.step, workers), start=state.step + 1):
@@ -161,8 +165,8 @@ class _Training:
             ends = step % options.validate == 0 or step == options.steps
             mean_iou = None
             if ends:
-                state, mean_iou = self._checkpoint(folder, step, state, validation)
-                _append_log(folder / LOG_FILE, {"step": step, "loss": float(np.mean(losses)), "mean_iou": mean_iou})
+                mean_iou = self._validate(validation) if validation else None
+                state = self._checkpoint(folder, step, state, mean_iou, float(np.mean(losses)))
             if on_progress is not None:
                 rate = (step - start) * options.batch / (time.monotonic() - begin)
                 left = (options.steps - step) * options.batch / rate
@@ -174,7 +178,8 @@ class _Training:
     def _batches(self, first: int, workers: int) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         """Images and labels of all steps from a number on."""
         options = self.options
-        assert options.steps is not None and options.batch is not None
+        assert options.steps is not None
+        assert options.batch is not None
         loader = torch.utils.data.DataLoader(
             self.samples,
             batch_size=options.batch,
@@ -189,9 +194,11 @@ class _Training:
         torch.manual_seed(self.options.seed * 1_000_003 + step)
         for group in self.optimiser.param_groups:
             group["lr"] = _learning_rate(self.options, step)
-        module = self.segmenter.module.train()
+        module = self.trained.module.train()
         inputs = images.to(self.device, memory_format=torch.channels_last).float() / 255
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=_uses_bfloat16(self.options, self.device)):
+        with torch.autocast(
+            self.device.type, torch.bfloat16, enabled=_uses_bfloat16(self.options, self.device)
+        ):
             logits = apply_model(module, inputs)
         loss = self.loss(logits, labels.to(self.device).long())
         self.optimiser.zero_grad()
@@ -203,35 +210,36 @@ class _Training:
         return value
 
     def _checkpoint(
-        self, folder: Path, step: int, state: TrainingState, validation: Sequence[ImageSet]
-    ) -> tuple[TrainingState, float | None]:
-        """Validate, and write the network if it is the best one, then the state."""
-        mean_iou = self._validate(validation) if validation else None
+        self, folder: Path, step: int, state: TrainingState, mean_iou: float | None, loss: float
+    ) -> TrainingState:
+        """Write the network if it is the best one, the log, and last the state, by which a resumption starts."""
         best, best_step = state.best, state.best_step
         if mean_iou is None or best is None or mean_iou > best:
             best, best_step = mean_iou, step
             training = {**self.record, "step": step, "validation_mean_iou": mean_iou}
-            replace(self.segmenter, training=training).save(folder / MODEL_FILE)
-        # A state that is newer than its network would lose the best one.
+            replace(self.trained, training=training).save(folder / MODEL_FILE)
+        _append_log(folder / LOG_FILE, {"step": step, "loss": loss, "mean_iou": mean_iou})
         state = TrainingState(step, best, best_step, self.record)
-        write_state(folder, self.segmenter.module, self.optimiser, state)
-        return state, mean_iou
+        write_state(folder, self.trained.module, self.optimiser, state)
+        return state
 
     def _validate(self, validation: Sequence[ImageSet]) -> float:
         """Mean IoU over all images of the sets, in the classes of the labels."""
+        merging = self.labels.merging(self.trained.classes)
         total = np.zeros((len(self.labels), len(self.labels)), np.int64)
         for images in validation:
             for image in images.select("colour", "classes"):
                 if image.colour is None or image.classes is None:
                     raise InputError(images.name, f"{image.name} has no colour image or no mask")
-                prediction = self.segmenter.predict(image.colour, self.labels)
+                prediction = predict_classes(self.trained, image.colour, merging)
                 total += confusion_matrix(self.labels.indices(image.classes), prediction, len(self.labels))
         return float(mean_intersection_over_union(total))
 
 
 def _learning_rate(options: TrainingOptions, step: int) -> float:
     """The learning rate of a step, counted from 1."""
-    assert options.learning_rate is not None and options.steps is not None
+    assert options.learning_rate is not None
+    assert options.steps is not None
     if options.schedule == "constant":
         return options.learning_rate
     warm_up = max(1, round(_WARM_UP * options.steps))
@@ -281,7 +289,7 @@ def _record(
     options: TrainingOptions,
     sets: Sequence[ImageSet],
     validation: Sequence[ImageSet],
-    origin: Segmenter | None,
+    origin: TrainedModel | None,
 ) -> dict[str, Any]:
     """What defines the result of a training: a resumption must agree with it."""
     return {
@@ -300,7 +308,7 @@ def _describe_set(images: ImageSet) -> dict[str, Any]:
     return {"name": images.name, "images": len(images), "names_sha256": names, "recipe_sha256": recipe}
 
 
-def _digest_weights(segmenter: Segmenter) -> str:
+def _digest_weights(segmenter: TrainedModel) -> str:
     content = hashlib.sha256(str(segmenter.classes).encode())
     for name, tensor in sorted(segmenter.module.state_dict().items()):
         content.update(name.encode())

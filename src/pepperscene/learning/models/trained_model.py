@@ -26,7 +26,7 @@ FORMAT: Final = "pepperscene model 1"
 
 @final
 @dataclass(frozen=True, eq=False)
-class Segmenter:
+class TrainedModel:
     """A network that separates classes.
 
     Attributes:
@@ -50,20 +50,10 @@ class Segmenter:
         with torch.inference_mode():
             image = torch.from_numpy(np.array(colour)).to(device).permute(2, 0, 1)[None].float() / 255
             logits = apply_model(self.module, _scaled(image, self.width))
-            enlarged = functional.interpolate(logits, size=colour.shape[:2], mode="bilinear", align_corners=False)
+            enlarged = functional.interpolate(
+                logits, size=colour.shape[:2], mode="bilinear", align_corners=False
+            )
             return enlarged.softmax(dim=1)[0].float().cpu().numpy()
-
-    def predict(self, colour: NDArray[np.uint8], classes: ClassTable | None = None) -> NDArray[np.uint8]:
-        """Index of the most probable class of each pixel `(h, w)`.
-
-        Args:
-            colour: `(h, w, 3)`.
-            classes: a table that merges the network's classes, whose probabilities are added; None for its own.
-        """
-        probabilities = self.probabilities(colour)
-        if classes is not None and classes != self.classes:
-            probabilities = np.tensordot(classes.merging(self.classes), probabilities, axes=1)
-        return probabilities.argmax(axis=0).astype(np.uint8)
 
     def to(self, device: str) -> Self:
         """The same network on another device."""
@@ -93,10 +83,10 @@ def apply_model(module: nn.Module, images: torch.Tensor) -> torch.Tensor:
         logits = logits["out"]
     if logits.shape[-2:] != images.shape[-2:]:
         logits = functional.interpolate(logits, size=images.shape[-2:], mode="bilinear", align_corners=False)
-    return logits  # type: ignore[no-any-return]
+    return logits
 
 
-def load_model(path: str | Path) -> Segmenter:
+def load_model(path: str | Path) -> TrainedModel:
     """Read a model that `train` wrote.
 
     Args:
@@ -117,7 +107,7 @@ def load_model(path: str | Path) -> Segmenter:
     except (KeyError, TypeError, AttributeError):
         raise InputError(file, "lacks the description of its model") from None
     fill_module(module, tensors, file)
-    return Segmenter(module, description["model"], classes, width, training)
+    return TrainedModel(module, description["model"], classes, width, training)
 
 
 def fill_module(module: nn.Module, tensors: Mapping[str, torch.Tensor], file: Path) -> None:
@@ -125,7 +115,9 @@ def fill_module(module: nn.Module, tensors: Mapping[str, torch.Tensor], file: Pa
     try:
         module.load_state_dict(dict(tensors))
     except RuntimeError as error:
-        raise InputError(file, f"holds weights of another model ({str(error).splitlines()[-1].strip()})") from None
+        raise InputError(
+            file, f"holds weights of another model ({str(error).splitlines()[-1].strip()})"
+        ) from None
 
 
 def weights_as_bytes(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]) -> bytes:
