@@ -73,8 +73,7 @@ def train(
     The folder holds `model.safetensors` (the network, after the best validation or else the last step),
     `state.safetensors` (all that a resumption needs) and `training.jsonl` (loss and validations). A training
     that was killed and is resumed ends with the same bytes as one that was not, on the same machine with the
-    same number of
-    threads: crops and dropout depend on the seed and the number of the step alone.
+    same number of threads: crops and dropout depend on the seed and the number of the step alone.
 
     Args:
         sets: labelled images. A set that occurs twice counts twice.
@@ -212,7 +211,7 @@ class _Training:
     def _checkpoint(
         self, folder: Path, step: int, state: TrainingState, mean_iou: float | None, loss: float
     ) -> TrainingState:
-        """Write the network if it is the best one, the log, and last the state, by which a resumption starts."""
+        """Write the network if it is the best one, the log, and last the state that a resumption reads."""
         best, best_step = state.best, state.best_step
         if mean_iou is None or best is None or mean_iou > best:
             best, best_step = mean_iou, step
