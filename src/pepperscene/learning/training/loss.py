@@ -46,7 +46,7 @@ class SegmentationLoss(nn.Module):
         self.register_buffer("weights", torch.tensor(weights, dtype=torch.float32), persistent=False)
 
     def forward(self, logits: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
-        """Weighted mean over pixels of logits `(n, k, h, w)` and labels `(n, h, w)`, which are 255 for void."""
+        """Weighted mean over pixels, of logits `(n, k, h, w)` and labels `(n, h, w)` with 255 for void."""
         logits = logits.float()
         if not self._is_plain:
             merged = [logits[:, members].logsumexp(dim=1) for members in self._members]
