@@ -27,7 +27,7 @@ def drawn_generator() -> np.random.Generator:
 @contextmanager
 def global_seeds(seed: int) -> Iterator[None]:
     """Seed torch (CPU), NumPy's global generator and `random`; afterwards they are as they were before."""
-    states = torch.get_rng_state(), np.random.get_state(), random.getstate()
+    states = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
     try:
         # `torch.manual_seed` would also start CUDA, which forked workers cannot.
         torch.default_generator.manual_seed(seed)
