@@ -11,7 +11,7 @@ from pepperscene.dataset.readers.labels import LABEL_FILE
 from pepperscene.dataset.readers.open import open_images
 from pepperscene.dataset.readers.published import published_halves
 from pepperscene.dataset.store.dataset import MARK
-from pepperscene.errors import ArgumentError
+from pepperscene.errors import ArgumentError, InputError
 
 
 def open_image_sets(
@@ -29,6 +29,9 @@ def open_image_sets(
         InputError: see `open_images`; or an option applies to none of the sets.
     """
     places = [Path(path) for path in paths]
+    for place in places:
+        if not place.exists():
+            raise InputError(place, "must be a folder of images")
     tables, halves = label_targets(places), half_targets(places)
     if labels is not None and not any(tables):
         raise ArgumentError("labels", "applies only to a folder of images with masks; no set is one")

@@ -102,7 +102,9 @@ def load_model(path: str | Path) -> TrainedModel:
     tensors, description = read_weights(file, FORMAT)
     try:
         classes = ClassTable.parse(description["classes"])
-        module = build_model(description["model"], len(classes))
+        # The random weights, which are replaced, must not change the caller's random numbers.
+        with torch.random.fork_rng(devices=[]):
+            module = build_model(description["model"], len(classes))
         width, training = description["width"], description["training"]
     except (KeyError, TypeError, AttributeError):
         raise InputError(file, "lacks the description of its model") from None

@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -111,6 +111,10 @@ def train(
             training.run(folder, validation, workers, on_progress)
         except OSError as error:
             raise write_error(error, folder) from None
+        finally:
+            # A training that failed before its first checkpoint leaves nothing.
+            with suppress(OSError):
+                folder.rmdir()
     return load_model(folder)
 
 
