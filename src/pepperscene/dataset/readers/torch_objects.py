@@ -46,7 +46,9 @@ def find_objects(
     """
     from scipy import ndimage
 
-    numbered, labels, pixels = np.zeros(instances.shape, np.int32), [], []
+    numbered = np.zeros(instances.shape, np.int32)
+    labels: list[int] = []
+    pixels: list[int] = []
     for label, class_id in enumerate(class_ids, 1):
         inside = (classes == class_id) & (instances > 0)
         values = instances[inside]
