@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
 import pickle
-import random
+import random  # noqa: TID251 - a transform of a user may use it
 import subprocess
 import sys
 from pathlib import Path
@@ -108,7 +110,7 @@ class RandomNumbers:
     """A transform that adds the next number of each global generator."""
 
     def __call__(self, sample):
-        numbers = [float(torch.rand(())), np.random.random(), random.random()]  # noqa: NPY002, TID251
+        numbers = [float(torch.rand(())), np.random.random(), random.random()]  # noqa: NPY002
         return {**sample, "numbers": torch.tensor(numbers)}
 
 
@@ -221,9 +223,13 @@ import torch
 
 from pepperscene.dataset import Augmentation, torch_images
 
+def memory():
+    # Without shared memory, which holds the batches that wait.
+    resident, shared = Path("/proc/self/statm").read_text().split()[1:3]
+    return (int(resident) - int(shared)) * resource.getpagesize()
+
 def add_memory(sample):
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return {**sample, "bytes": pages * resource.getpagesize(), "process": torch.utils.data.get_worker_info().id}
+    return {**sample, "bytes": memory(), "process": torch.utils.data.get_worker_info().id}
 
 augmentation = Augmentation.standard((300, 400))
 samples = torch_images(sys.argv[1], augmentation=augmentation, transform=add_memory, seed=0)
@@ -235,7 +241,7 @@ for epoch in range(10):
     for batch in loader:
         for process, size in zip(batch["process"].tolist(), batch["bytes"].tolist()):
             sizes[process] = max(size, sizes.get(process, 0))
-    sizes[2] = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    sizes[2] = memory()
     epochs.append([sizes[process] for process in range(3)])
 print(json.dumps(epochs))
 """
@@ -244,16 +250,15 @@ print(json.dumps(epochs))
 @pytest.mark.slow
 @pytest.mark.skipif(not STATM.exists(), reason="needs Linux to know the present memory of a process")
 def test_ten_epochs_with_two_workers_need_no_more_memory_than_three(painted):
-    import json
-
     result = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(painted.folder)],
         capture_output=True,
         text=True,
         timeout=300,
-        env={"PYTHONPATH": PYTHONPATH},
+        # Arrays return to the system when they are freed; otherwise the allocator's reserve varies by 70 MiB.
+        env={**os.environ, "PYTHONPATH": PYTHONPATH, "MALLOC_MMAP_THRESHOLD_": "65536"},
     )
     assert result.returncode == 0, result.stderr
     epochs = np.array(json.loads(result.stdout.splitlines()[-1]))
-    # Of each worker and the main process. The images of 60 samples are 30 MiB in an epoch.
-    assert (epochs[-3:].max(axis=0) - epochs[:3].max(axis=0) < 12 * 2**20).all(), epochs / 2**20
+    # Of each worker and the main process. The images of the last seven epochs are 500 MiB in each worker.
+    assert (epochs[-3:].max(axis=0) - epochs[:3].max(axis=0) < 8 * 2**20).all(), epochs / 2**20

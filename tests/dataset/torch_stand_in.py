@@ -1,7 +1,8 @@
 """Sets of images in memory, and a small stand-in for torchvision, which is not a dependency of the tests.
 
 The stand-in has the names, arguments and types of the documentation of torchvision 0.16 and newer:
-`tv_tensors.Image(data)`, `.Mask(data)` and `.BoundingBoxes(data, *, format, canvas_size)`, all subclasses of `torch.Tensor`, and transforms that take and return any nesting of them.
+`tv_tensors.Image(data)`, `.Mask(data)` and `.BoundingBoxes(data, *, format, canvas_size)`, all subclasses of
+`torch.Tensor`, and a transform that takes and returns any nesting of them.
 """
 
 from __future__ import annotations
