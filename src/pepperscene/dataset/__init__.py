@@ -7,9 +7,10 @@ from pepperscene.dataset.execution.single_frame import render_frame
 from pepperscene.dataset.export import FORMATS, ExportResult, Splits, export_dataset
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage
-from pepperscene.dataset.readers.torch_augment import Augmentation, AugmentationStep
+from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
 from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
+from pepperscene.dataset.readers.torch_augment_step import AugmentationStep
 from pepperscene.dataset.readers.torch_images import collate_detections, torch_detections, torch_images
 from pepperscene.dataset.recipe.load import load_recipe, parse_changes, resolve_recipe
 from pepperscene.dataset.recipe.plan import FrameSpec, Plan

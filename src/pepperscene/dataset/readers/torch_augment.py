@@ -5,34 +5,16 @@ The steps compute with NumPy and Pillow, so that importing this module does not 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Self, final
+from typing import Any, Self, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
+from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
+from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS, Arrays, AugmentationStep
 from pepperscene.errors import ArgumentError
-
-Arrays = Mapping[str, NDArray[Any]]
-"""Arrays of one sample by key: `image` (h, w, 3) uint8 in sRGB; `mask`, `instances` and `distance`, each
-(h, w). All have the same height and width; any of them may be missing."""
-
-ARRAY_KEYS: Final = ("image", "mask", "instances", "distance")
-
-
-class AugmentationStep(ABC):
-    """One random change of a sample. Steps are frozen: all random numbers come from the generator."""
-
-    @abstractmethod
-    def apply(self, arrays: Arrays, rng: np.random.Generator) -> Arrays:
-        """The changed arrays; those that the step does not change are returned as they are.
-
-        Args:
-            arrays: of one sample; they are not written to.
-            rng: source of all random numbers.
-        """
 
 
 @final
@@ -69,14 +51,6 @@ class Augmentation:
         Raises:
             ArgumentError: the size is not two integers above 0.
         """
-        from pepperscene.dataset.readers.torch_augment_colour import (
-            ColourJitter,
-            RandomBlur,
-            RandomJpeg,
-            RandomNoise,
-        )
-        from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
-
         # In the order in which a camera does it: geometry, light, lens, sensor, file.
         crop = RandomResizedCrop(size)
         return cls((RandomFlip(), crop, ColourJitter(), RandomBlur(), RandomNoise(), RandomJpeg()))
@@ -116,15 +90,3 @@ class Augmentation:
             # A copy, because unchanged arrays share their memory with the sample.
             result[key] = torch.from_numpy(np.array(planes, order="C")).as_subclass(type(sample[key]))
         return result
-
-
-def check_probability(probability: float) -> None:
-    """Raise `ArgumentError` unless a probability is from 0 to 1."""
-    if not 0.0 <= probability <= 1.0:
-        raise ArgumentError("probability", f"must be from 0 to 1, not {probability!r}")
-
-
-def check_strength(name: str, value: float, largest: float) -> None:
-    """Raise `ArgumentError` unless the strength of this name is from 0 to the largest allowed."""
-    if not 0.0 <= value <= largest:
-        raise ArgumentError(name, f"must be from 0 to {largest:g}, not {value!r}")

@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.readers.torch_augment import (
+from pepperscene.dataset.readers.torch_augment_step import (
     Arrays,
     AugmentationStep,
     check_probability,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.image_set import VOID
-from pepperscene.dataset.readers.torch_augment import Arrays, AugmentationStep, check_probability
+from pepperscene.dataset.readers.torch_augment_step import Arrays, AugmentationStep, check_probability
 from pepperscene.errors import ArgumentError
 
 _PADDING: Final[Mapping[str, float]] = {"image": 0, "mask": VOID, "instances": 0, "distance": np.inf}

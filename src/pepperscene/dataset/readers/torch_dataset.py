@@ -14,7 +14,8 @@ import torch
 from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.readers.torch_augment import ARRAY_KEYS, Augmentation
+from pepperscene.dataset.readers.torch_augment import Augmentation
+from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS
 from pepperscene.dataset.readers.torch_objects import find_objects
 from pepperscene.dataset.readers.torch_seeds import drawn_generator, global_seeds, sample_seeds
 from pepperscene.dataset.readers.torch_tensors import TensorTypes, image_tensor, label_tensor

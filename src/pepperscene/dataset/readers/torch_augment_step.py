@@ -1,0 +1,43 @@
+"""The interface of one random change of an image together with its labels."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.errors import ArgumentError
+
+Arrays = Mapping[str, NDArray[Any]]
+"""Arrays of one sample by key: `image` (h, w, 3) uint8 in sRGB; `mask`, `instances` and `distance`, each
+(h, w). All have the same height and width; any of them may be missing."""
+
+ARRAY_KEYS: Final = ("image", "mask", "instances", "distance")
+
+
+class AugmentationStep(ABC):
+    """One random change of a sample. Steps are frozen: all random numbers come from the generator."""
+
+    @abstractmethod
+    def apply(self, arrays: Arrays, rng: np.random.Generator) -> Arrays:
+        """The changed arrays; those that the step does not change are returned as they are.
+
+        Args:
+            arrays: of one sample; they are not written to.
+            rng: source of all random numbers.
+        """
+
+
+def check_probability(probability: float) -> None:
+    """Raise `ArgumentError` unless a probability is from 0 to 1."""
+    if not 0.0 <= probability <= 1.0:
+        raise ArgumentError("probability", f"must be from 0 to 1, not {probability!r}")
+
+
+def check_strength(name: str, value: float, largest: float) -> None:
+    """Raise `ArgumentError` unless the strength of this name is from 0 to the largest allowed."""
+    if not 0.0 <= value <= largest:
+        raise ArgumentError(name, f"must be from 0 to {largest:g}, not {value!r}")
