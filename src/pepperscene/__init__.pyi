@@ -23,6 +23,7 @@ from .cultivar import Cultivar as Cultivar
 from .cultivar import interpolate_cultivars as interpolate_cultivars
 from .cultivar import load_cultivar as load_cultivar
 from .dataset import VOID as VOID
+from .dataset import Augmentation as Augmentation
 from .dataset import BuildOptions as BuildOptions
 from .dataset import CheckResult as CheckResult
 from .dataset import Dataset as Dataset
@@ -33,6 +34,7 @@ from .dataset import LabelledImage as LabelledImage
 from .dataset import Recipe as Recipe
 from .dataset import build as build
 from .dataset import check_dataset as check_dataset
+from .dataset import collate_detections as collate_detections
 from .dataset import export_dataset as export_dataset
 from .dataset import grow_plant as grow_plant
 from .dataset import load_recipe as load_recipe
@@ -40,6 +42,7 @@ from .dataset import open_dataset as open_dataset
 from .dataset import open_images as open_images
 from .dataset import read_image as read_image
 from .dataset import render_frame as render_frame
+from .dataset import torch_detections as torch_detections
 from .dataset import torch_images as torch_images
 from .dataset import write_image as write_image
 from .dataset import write_report as write_report

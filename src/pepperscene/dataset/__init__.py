@@ -7,7 +7,11 @@ from pepperscene.dataset.execution.single_frame import render_frame
 from pepperscene.dataset.export import FORMATS, ExportResult, Splits, export_dataset
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage
-from pepperscene.dataset.readers.torch_images import torch_images
+from pepperscene.dataset.readers.torch_augment import Augmentation
+from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
+from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
+from pepperscene.dataset.readers.torch_augment_step import AugmentationStep
+from pepperscene.dataset.readers.torch_images import collate_detections, torch_detections, torch_images
 from pepperscene.dataset.recipe.load import load_recipe, parse_changes, resolve_recipe
 from pepperscene.dataset.recipe.plan import FrameSpec, Plan
 from pepperscene.dataset.recipe.recipe import Recipe
@@ -21,10 +25,13 @@ from pepperscene.dataset.store.images import read_image, write_image
 __all__ = [
     "FORMATS",
     "VOID",
+    "Augmentation",
+    "AugmentationStep",
     "BuildOptions",
     "BuildProgress",
     "BuildResult",
     "CheckResult",
+    "ColourJitter",
     "Dataset",
     "ExportResult",
     "Finding",
@@ -34,12 +41,18 @@ __all__ = [
     "ImageSet",
     "LabelledImage",
     "Plan",
+    "RandomBlur",
+    "RandomFlip",
+    "RandomJpeg",
+    "RandomNoise",
+    "RandomResizedCrop",
     "Recipe",
     "ReportFiles",
     "ResolvedRecipe",
     "Splits",
     "build",
     "check_dataset",
+    "collate_detections",
     "export_dataset",
     "grow_plant",
     "load_recipe",
@@ -49,6 +62,7 @@ __all__ = [
     "read_image",
     "render_frame",
     "resolve_recipe",
+    "torch_detections",
     "torch_images",
     "write_image",
     "write_report",

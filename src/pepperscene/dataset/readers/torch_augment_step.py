@@ -1,4 +1,4 @@
-"""One random change of an image together with its labels, the base of all augmentation steps."""
+"""The interface of one random change of an image together with its labels."""
 
 from __future__ import annotations
 

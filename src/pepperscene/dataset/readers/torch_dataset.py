@@ -44,6 +44,9 @@ class TorchSet(torch.utils.data.Dataset):
     Nothing is kept between samples, so that memory does not grow.
     """
 
+    missing_hint: str
+    """End of the message about an image without one of the keys."""
+
     def __init__(self, images: ImageSet, keys: tuple[str, ...], options: SampleOptions) -> None:
         self.images = images.select(*(FIELDS[key] for key in keys))
         self.keys, self.options = keys, options
@@ -94,7 +97,7 @@ class TorchSet(torch.utils.data.Dataset):
         arrays = {key: getattr(image, FIELDS[key]) for key in self.keys}
         for key, array in arrays.items():
             if array is None:
-                raise InputError(self.images.name, f"{image.name} has no {key}: leave it out of keys")
+                raise InputError(self.images.name, f"{image.name} has no {key}{self.missing_hint}")
         rng, seeds = self._random_numbers(position)
         if self.options.augmentation is not None:
             arrays = dict(self.options.augmentation.apply(arrays, rng))
@@ -119,6 +122,8 @@ class TorchSet(torch.utils.data.Dataset):
 class TorchImages(TorchSet):
     """Samples are dictionaries of tensors for each pixel; see `torch_images`."""
 
+    missing_hint = ": leave it out of keys"
+
     def _parts(self, position: int, name: str, arrays: Mapping[str, NDArray[Any]]) -> tuple[Any, ...]:
         sample: dict[str, Any] = {"name": name}
         for key in self.keys:
@@ -132,6 +137,8 @@ class TorchImages(TorchSet):
 @final
 class TorchDetections(TorchSet):
     """Samples are pairs of an image and the targets of a detector; see `torch_detections`."""
+
+    missing_hint = ", which detections need"
 
     def __init__(
         self,

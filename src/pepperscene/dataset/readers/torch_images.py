@@ -87,8 +87,8 @@ def torch_detections(
 
     A sample is a pair of the image (3, h, w) and a dictionary of its n objects:
 
-    - `boxes` (n, 4) float32: left, top, right and bottom edge in pixels; the first pixel is from 0 to 1;
-      with torchvision a `tv_tensors.BoundingBoxes` of the format XYXY.
+    - `boxes` (n, 4) float32: left, top, right and bottom edge in pixels, where the first pixel reaches from 0
+      to 1; with torchvision a `tv_tensors.BoundingBoxes` of the format XYXY.
     - `labels` (n,) int64: the position in `classes`, from 1; 0 is the background of detection models.
     - `masks` (n, h, w) uint8: 1 for the visible pixels; with torchvision a `tv_tensors.Mask`.
     - `image_id`: the position in the set, an integer.

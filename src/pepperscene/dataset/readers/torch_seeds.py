@@ -27,14 +27,15 @@ def drawn_generator() -> np.random.Generator:
 @contextmanager
 def global_seeds(seed: int) -> Iterator[None]:
     """Seed torch (CPU), NumPy's global generator and `random`; afterwards they are as they were before."""
-    states = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
+    numpy_state = np.random.get_state()  # noqa: NPY002 - transforms of users may use it
+    torch_state, python_state = torch.get_rng_state(), random.getstate()
     try:
         # `torch.manual_seed` would also start CUDA, which forked workers cannot.
         torch.default_generator.manual_seed(seed)
-        np.random.seed(seed % 2**32)  # noqa: NPY002, TID251 - transforms of users may use it
+        np.random.seed(seed % 2**32)  # noqa: NPY002, TID251
         random.seed(seed)
         yield
     finally:
-        torch.set_rng_state(states[0])
-        np.random.set_state(states[1])  # noqa: NPY002
-        random.setstate(states[2])
+        torch.set_rng_state(torch_state)
+        np.random.set_state(numpy_state)  # noqa: NPY002
+        random.setstate(python_state)
