@@ -438,6 +438,20 @@ def read() -> Image.Image:
     return image
 
 
+def learn() -> Image.Image:
+    """A frame, and the classes that a network predicts which was trained on other frames."""
+    images = ps.open_images(demo_set().folder)
+    shown = images.names().index(f"{FRAME:06d}")
+    others = images.take([position for position in range(len(images)) if position != shown])
+    if not (CACHE / "model" / "model.safetensors").exists():
+        ps.train([others], CACHE / "model", ps.TrainingOptions(steps=400, width=400), resume=True)
+    predicted = ps.load_model(CACHE / "model").probabilities(images[shown].colour).argmax(axis=0)
+    image = white()
+    for left, picture in ((0, photograph()), (121, ps.class_colour(predicted.astype(np.uint8)))):
+        image.paste(fill(picture, (119, 160)), (left, 0))
+    return image
+
+
 def export() -> Image.Image:
     """A photograph with the boxes and masks of fruit out of its COCO export."""
     folder = CACHE / "coco"
@@ -1025,7 +1039,7 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, gallery, first_frame, dataset, build, camera, vary, motion, read, export,
+    quickstart, gallery, first_frame, dataset, build, camera, vary, motion, read, learn, export,
     cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""

@@ -63,6 +63,15 @@ from .geometry import write_mesh as write_mesh
 from .grammar import Organ as Organ
 from .grammar import Plant as Plant
 from .grammar import grow as grow
+from .learning import ClassTable as ClassTable
+from .learning import Evaluation as Evaluation
+from .learning import TrainingOptions as TrainingOptions
+from .learning import evaluate as evaluate
+from .learning import predict as predict
+from .learning import write_evaluation as write_evaluation
+from .learning.models import TrainedModel as TrainedModel
+from .learning.models import load_model as load_model
+from .learning.training import train as train
 from .materials import Surface as Surface
 from .materials import greenhouse_surfaces as greenhouse_surfaces
 from .materials import lambertian_surface as lambertian_surface

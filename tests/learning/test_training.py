@@ -16,10 +16,11 @@ from pepperscene.dataset.readers.image_set import LabelledImage  # noqa: E402
 from pepperscene.errors import ArgumentError, InputError, OutputError  # noqa: E402
 from pepperscene.learning.class_table import ClassTable  # noqa: E402
 from pepperscene.learning.evaluation.evaluate import evaluate  # noqa: E402
-from pepperscene.learning.models import MODELS  # noqa: E402
-from pepperscene.learning.training import TrainingOptions, train  # noqa: E402
+from pepperscene.learning.model_names import MODELS  # noqa: E402
+from pepperscene.learning.training import train  # noqa: E402
 from pepperscene.learning.training.loop import LOG_FILE  # noqa: E402
 from pepperscene.learning.training.samples import TrainingSamples  # noqa: E402
+from pepperscene.learning.training_options import TrainingOptions  # noqa: E402
 
 SHAPES = "background,leaf,pepper,stem"
 QUICK = TrainingOptions(

@@ -97,7 +97,7 @@ def train(
 ) -> None:
     """Train a network to separate the classes of labelled images."""
     from pepperscene.dataset.readers.several import open_image_sets
-    from pepperscene.learning.training.options import TrainingOptions
+    from pepperscene.learning.training_options import TrainingOptions
 
     # Find errors in the arguments before torch is imported, which takes seconds.
     if model is not None and start is not None:

@@ -6,6 +6,7 @@ from pepperscene.learning.evaluation.evaluation import Evaluation
 from pepperscene.learning.evaluation.page import EvaluationFiles, write_evaluation
 from pepperscene.learning.evaluation.predict import Predictions, predict
 from pepperscene.learning.evaluation.segmenter import Segmenter
+from pepperscene.learning.training_options import TrainingOptions
 
 __all__ = [
     "FRUIT_CLASSES",
@@ -14,6 +15,7 @@ __all__ = [
     "EvaluationFiles",
     "Predictions",
     "Segmenter",
+    "TrainingOptions",
     "evaluate",
     "predict",
     "write_evaluation",

@@ -5,59 +5,14 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from pepperscene.errors import ArgumentError
+from pepperscene.learning.model_names import MODELS
 
 if TYPE_CHECKING:
     from torch import nn
-
-
-@dataclass(frozen=True)
-class ModelDefaults:
-    """A model and the training that suits it.
-
-    Attributes:
-        factory: `module:name` of a callable that takes the number of classes and the model's options.
-        steps, batch: number of steps and images per step.
-        learning_rate: of Adam.
-        schedule: of the learning rate: "constant", or "cosine" with a warm-up.
-        balance: exponent of the inverse frequency by which the loss weights classes.
-    """
-
-    factory: str
-    steps: int
-    batch: int
-    learning_rate: float
-    schedule: str
-    balance: float
-
-
-MODELS: Final[Mapping[str, ModelDefaults]] = MappingProxyType(
-    {
-        # Chosen: 16,000 crops take less than half an hour on two cores.
-        "small": ModelDefaults(
-            "pepperscene.learning.models.small:SmallNetwork", 2000, 8, 2e-3, "cosine", 0.5
-        ),
-        # Section 2.8 of the paper.
-        "deeplab_vgg16": ModelDefaults(
-            "pepperscene.learning.models.deeplab:DeepLab", 30_000, 10, 5e-5, "constant", 0.0
-        ),
-    }
-)
-"""Models of this package by name."""
-
-_OTHER: Final = ("", 2000, 8, 1e-3, "cosine", 0.5)
-"""Training of a model of the user's, unless options say otherwise."""
-
-
-def model_defaults(model: str) -> ModelDefaults:
-    """The defaults of a model, which is a text as for `build_model`."""
-    name = model.partition(",")[0].strip()
-    return MODELS[name] if name in MODELS else ModelDefaults(name, *_OTHER[1:])
 
 
 def build_model(model: str, classes: int) -> nn.Module:

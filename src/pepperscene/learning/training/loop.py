@@ -25,8 +25,8 @@ from pepperscene.learning.models.registry import build_model
 from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model, load_model
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
 from pepperscene.learning.training.loss import SegmentationLoss, class_weights
-from pepperscene.learning.training.options import TrainingOptions
 from pepperscene.learning.training.samples import TrainingSamples
+from pepperscene.learning.training_options import TrainingOptions
 from pepperscene.version import __version__
 
 LOG_FILE: Final = "training.jsonl"

@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 
 from pepperscene.errors import ArgumentError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.models.registry import model_defaults
+from pepperscene.learning.model_names import model_defaults
 
 SCHEDULES: Final = ("constant", "cosine")
 PRECISIONS: Final = ("auto", "float32", "bfloat16")
