@@ -10,36 +10,25 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import IGNORE_COLOUR
-from pepperscene.colour.comparison.tables import TextTable
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.report.colours import jpeg_data_uri, png_data_uri
-from pepperscene.dataset.report.markup import Html, csp_hash, element, fragment, joined
+from pepperscene.dataset.report.markup import Html, element, fragment
 from pepperscene.dataset.store.atomic import canonical_json, check_can_write, write_files
 from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.evaluate import label_image
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, Evaluation
 from pepperscene.learning.evaluation.segmenter import Segmenter
+from pepperscene.learning.page_parts import (
+    class_legend,
+    class_palette_of,
+    page_document,
+    picture_row,
+    table_section,
+)
 
 JSON_NAME: Final = "evaluation.json"
 PAGE_NAME: Final = "evaluation.html"
-
-_STYLE: Final = """
-:root { color-scheme: light dark; }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 0 auto; padding: 1rem; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .9rem .2rem 0; text-align: right; border-bottom: 1px solid #8886; }
-th:first-child { text-align: left; font-weight: 500; }
-.scroll { overflow-x: auto; }
-.row { display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); gap: .5rem; }
-figure { margin: 0; }
-img { display: block; width: 100%; height: auto; }
-.legend { display: flex; flex-wrap: wrap; gap: .3rem 1.1rem; }
-.legend svg { width: .9em; height: .9em; margin-right: .4em; outline: 1px solid #8886; }
-"""
-
-_IGNORED: Final = "no label"
 
 
 @dataclass(frozen=True)
@@ -103,34 +92,7 @@ def _page_html(evaluation: Evaluation, model: Segmenter, sets: Sequence[ImageSet
         for word, image in select_images(evaluation.images)
     ]
     title = f"Evaluation on {', '.join(item.name for item in evaluation.sets)}"
-    policy = fragment("default-src 'none'; img-src data:; style-src ", csp_hash(_STYLE))
-    head = element(
-        "head",
-        Html('<meta charset="utf-8">'),
-        Html('<meta name="viewport" content="width=device-width, initial-scale=1">'),
-        Html(f'<meta http-equiv="Content-Security-Policy" content="{policy}">'),
-        element("title", title),
-        element("style", Html(_STYLE)),
-    )
-    body = element(
-        "body",
-        element("main", element("h1", title), *map(_table_html, evaluation.tables()), *_panels(pictures)),
-    )
-    return fragment(Html("<!DOCTYPE html>\n"), element("html", head, body, lang="en"))
-
-
-def _table_html(table: TextTable) -> Html:
-    """A text table as a section of the page."""
-    header = element("tr", *(element("th", head, scope="col") for head in table.heads))
-    rows = [
-        element("tr", element("th", name, scope="row"), *(element("td", cell) for cell in cells))
-        for name, *cells in table.rows
-    ]
-    content = element("table", element("thead", header), element("tbody", *rows))
-    region = element("div", content, class_="scroll", tabindex=0, role="region", aria_label=table.title)
-    return element(
-        "section", element("h2", table.title), region, *(element("p", note) for note in table.notes)
-    )
+    return page_document(title, *map(table_section, evaluation.tables()), *_panels(pictures))
 
 
 def _panels(pictures: Sequence[Html]) -> list[Html]:
@@ -153,40 +115,11 @@ def _image_html(
     truth, prediction = label_image(model, classes, merging, read)
     assert read.colour is not None
     palette = class_palette_of(classes)
-    size = {"height": truth.shape[0], "width": truth.shape[1]}
     panels = [
         ("photograph", jpeg_data_uri(read.colour)),
         ("mask", png_data_uri(palette[truth])),
         ("prediction", png_data_uri(palette[prediction])),
     ]
-    figures = [
-        element(
-            "figure",
-            element("img", src=uri, alt=f"{title} of {image.name}", **size),
-            element("figcaption", title),
-        )
-        for title, uri in panels
-    ]
-    present = sorted({*np.unique(truth).tolist(), *np.unique(prediction).tolist()})
-    names = {**dict(enumerate(classes.names)), 255: _IGNORED}
-    legend = [element("span", _swatch(palette[index]), names[index]) for index in present]
     heading = f"{word.capitalize()}: {image.name} of {images.name}, mean IoU {100.0 * image.mean_iou:.1f} %"
-    return fragment(
-        element("h3", heading),
-        element("div", *figures, class_="row"),
-        element("p", joined(legend, " "), class_="legend"),
-    )
-
-
-def class_palette_of(classes: ClassTable) -> NDArray[np.uint8]:
-    """8-bit RGB `(256, 3)` of the indices of a table; grey for pixels without a label."""
-    palette = np.full((256, 3), IGNORE_COLOUR, np.uint8)
-    palette[: len(classes)] = classes.colours
-    return palette
-
-
-def _swatch(colour: NDArray[np.uint8]) -> Html:
-    """A patch of a class's colour."""
-    code = "#" + bytes(colour.tolist()).hex()
-    patch = element("rect", width=10, height=10, fill=code)
-    return element("svg", patch, viewBox="0 0 10 10", aria_hidden="true")
+    row = picture_row(panels, image.name, (truth.shape[0], truth.shape[1]))
+    return fragment(element("h3", heading), row, class_legend(classes, truth, prediction))
