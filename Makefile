@@ -71,7 +71,8 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 $(VENV)/.installed-tests: pyproject.toml | $(BIN)/python
 	@$(BIN)/python -c 'import torch' 2>/dev/null || $(PIP) install --quiet $(TORCH) \
 	    || echo "No CPU build of PyTorch can be installed; the tests that need it are skipped."
-	$(INSTALL) --editable '.[test,docs,notebooks]'
+	@extras=test,docs,notebooks; $(BIN)/python -c 'import torch' 2>/dev/null && extras=$$extras,test-learn; \
+	    echo $(INSTALL) --editable ".[$$extras]"; $(INSTALL) --editable ".[$$extras]"
 	@touch $(VENV)/.installed $@
 
 # An incomplete environment is removed, so that the next call does not use it.

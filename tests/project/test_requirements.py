@@ -20,7 +20,7 @@ def test_lock_satisfies_the_requirements() -> None:
     extras = project["optional-dependencies"]
     texts = [
         *project["dependencies"],
-        *(text for name in ("test", "docs", "notebooks") for text in extras[name]),
+        *(text for name in ("test", "test-learn", "docs", "notebooks") for text in extras[name]),
     ]
     for requirement in map(Requirement, texts):
         if requirement.name != project["name"]:
