@@ -444,7 +444,7 @@ def learn() -> Image.Image:
     shown = images.names().index(f"{FRAME:06d}")
     others = images.take([position for position in range(len(images)) if position != shown])
     if not (CACHE / "model" / "model.safetensors").exists():
-        ps.train([others], CACHE / "model", ps.TrainingOptions(steps=400, width=400), resume=True)
+        ps.train([others], CACHE / "model", ps.TrainingOptions(steps=300, batch=4), resume=True)
     predicted = ps.load_model(CACHE / "model").probabilities(images[shown].colour).argmax(axis=0)
     image = white()
     for left, picture in ((0, photograph()), (121, ps.class_colour(predicted.astype(np.uint8)))):
