@@ -103,7 +103,7 @@ def train(
     if model is not None and start is not None:
         raise InputError("--model", "cannot be combined with --start, which has a model")
     options = TrainingOptions(
-        model or DEFAULT_MODEL, classes, steps, batch, _parse_size(size), width or None, learning_rate,
+        model or DEFAULT_MODEL, classes, steps, batch, parse_size(size), width or None, learning_rate,
         schedule, balance, augmentation, seed, validate, precision,
     )  # fmt: skip
     options.completed()
@@ -199,11 +199,11 @@ def predict(
     typer.echo(f"{count:,} image{'' if count == 1 else 's'} predicted: {result.folder}")
 
 
-def _parse_size(text: str) -> tuple[int, int]:
+def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
     """Height and width of a text "WxH"."""
     width, _, height = text.lower().partition("x")
     if not (width.isascii() and width.isdecimal() and height.isascii() and height.isdecimal()):
-        raise InputError("--size", f"must be width and height in pixels, such as 256x192, not {text}")
+        raise InputError(option, f"must be width and height in pixels, such as 256x192, not {text}")
     return int(height), int(width)
 
 
