@@ -103,8 +103,8 @@ def train(
     if model is not None and start is not None:
         raise InputError("--model", "cannot be combined with --start, which has a model")
     options = TrainingOptions(
-        model or DEFAULT_MODEL, classes, steps, batch, parse_size("--size", size), width or None,
-        learning_rate, schedule, balance, augmentation, seed, validate, precision,
+        model or DEFAULT_MODEL, classes, steps, batch, parse_size(size), width or None, learning_rate,
+        schedule, balance, augmentation, seed, validate, precision,
     )  # fmt: skip
     options.completed()
     opened = open_image_sets([*sets, *(validation or [])], labels=labels, half=half)
@@ -199,8 +199,8 @@ def predict(
     typer.echo(f"{count:,} image{'' if count == 1 else 's'} predicted: {result.folder}")
 
 
-def parse_size(option: str, text: str) -> tuple[int, int]:
-    """Height and width of a text "WxH"; `option` is for messages."""
+def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
+    """Height and width of a text "WxH"."""
     width, _, height = text.lower().partition("x")
     if not (width.isascii() and width.isdecimal() and height.isascii() and height.isdecimal()):
         raise InputError(option, f"must be width and height in pixels, such as 256x192, not {text}")

@@ -1,0 +1,240 @@
+"""The page of the experiments: tables, charts, pictures and what was used; it needs no other file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from pepperscene.dataset.report.colours import jpeg_data_uri, png_data_uri
+from pepperscene.dataset.report.markup import Html, csp_hash, element, fragment, joined
+from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.experiments.charts import (
+    COLOURS,
+    Bar,
+    Curve,
+    bar_chart,
+    curve_chart,
+    legend,
+    swatch,
+)
+from pepperscene.learning.experiments.page_setup import used_section
+from pepperscene.learning.experiments.pictures import PictureRow
+from pepperscene.learning.experiments.schedule import MERGED
+
+_STYLE: Final = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 72rem; margin: 0 auto; padding: 1rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { padding: .25rem 1.1rem .25rem 0; text-align: right; border-bottom: 1px solid #ccc; vertical-align: top; }
+th:first-child, td.text { text-align: left; }
+.scroll { overflow-x: auto; }
+.chart { width: 100%; height: auto; }
+.pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem; }
+.row { display: grid; grid-auto-flow: column; grid-auto-columns: minmax(0, 1fr); gap: .4rem; }
+figure { margin: 0; }
+img { display: block; width: 100%; height: auto; }
+.legend { display: flex; flex-wrap: wrap; gap: .3rem 1.2rem; }
+.swatch { width: .9em; height: .9em; margin-right: .4em; outline: 1px solid #888; }
+"""  # noqa: E501
+
+_TITLE: Final = "Training on synthetic images, tested on photographs"
+
+
+def experiments_page(
+    content: Mapping[str, Any], pictures: Sequence[PictureRow], times: Mapping[str, float]
+) -> Html:
+    """The page of a result of `run_experiments`.
+
+    Args:
+        content: of `experiments.json`.
+        pictures: photographs with predictions.
+        times: seconds of each training and test.
+    """
+    policy = fragment("default-src 'none'; img-src data:; style-src ", csp_hash(_STYLE))
+    head = element(
+        "head",
+        Html('<meta charset="utf-8">'),
+        Html('<meta name="viewport" content="width=device-width, initial-scale=1">'),
+        Html(f'<meta http-equiv="Content-Security-Policy" content="{policy}">'),
+        element("title", _TITLE),
+        element("style", Html(_STYLE)),
+    )
+    main = element(
+        "main",
+        element("h1", _TITLE),
+        _introduction(content),
+        _result_section(content),
+        _difference_section(content),
+        _organ_section(content),
+        _picture_section(content, pictures),
+        _curve_section(content),
+        used_section(content, times),
+    )
+    return fragment(Html("<!DOCTYPE html>\n"), element("html", head, element("body", main), lang="en"), "\n")
+
+
+def format_measure(measure: Mapping[str, Any], *, signed: bool = False) -> str:
+    """A value in percent with its interval, and the standard deviation over seeds if there is one."""
+    if measure["value"] is None:
+        return "-"
+    sign = "+" if signed else ""
+    text = f"{100 * measure['value']:{sign}.1f}"
+    if measure["low"] is not None:
+        text += f" [{100 * measure['low']:{sign}.1f}, {100 * measure['high']:{sign}.1f}]"
+    deviation = measure.get("sd_over_seeds")
+    return text if deviation is None else f"{text} ± {100 * deviation:.1f}"
+
+
+def data_table(label: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
+    """A table that scrolls where the window is narrow."""
+    header = element("tr", *(element("th", head, scope="col") for head in heads))
+    lines = [
+        element("tr", element("th", name, scope="row"), *(element("td", cell) for cell in cells))
+        for name, *cells in rows
+    ]
+    table = element("table", element("thead", header), element("tbody", *lines))
+    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label)
+
+
+def _introduction(content: Mapping[str, Any]) -> Html:
+    options, real = content["options"], content["real"]
+    seeds = options["seeds"]
+    networks = "one network" if seeds == 1 else f"{seeds} networks with different seeds"
+    folds = len(real["folds"])
+    trained = f"{networks} ({options['training']['model']}) of each kind"
+    photographs = f"{real['images']:,} photographs ({real['name']}) in {folds} fold{'s' * (folds > 1)}"
+    text = (
+        f"The experiments of Barth et al. 2018 (section 2.8) with {trained}. {photographs}; "
+        "no network was tested on a photograph that trained it, and none was chosen by test images."
+    )
+    return element("p", text)
+
+
+def _main_results(content: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Letter and result of A to E in common classes."""
+    by_key = {item["key"]: item for item in content["experiments"]}
+    return [(key, by_key[MERGED] if key == "A" and MERGED in by_key else by_key[key]) for key in "ABCDE"]
+
+
+def _result_section(content: Mapping[str, Any]) -> Html:
+    results = _main_results(content)
+    ran = [(key, item) for key, item in results if item["ran"]]
+    names = [measure["name"] for measure in ran[0][1]["measures"]]
+    rows = [_result_row(key, item, len(names)) for key, item in results]
+    groups = [
+        (
+            name,
+            [
+                Bar(key, *(item["measures"][at][part] for part in ("value", "low", "high")))
+                for key, item in ran
+            ],
+        )
+        for at, name in enumerate(names)
+    ]
+    note = (
+        "IoU in %, [95 % interval over images] ± standard deviation over seeds. Confusion matrices of all "
+        "images, seeds and folds are added."
+    )
+    missing = [f"{key} was not run: {item['why']}." for key, item in results if not item["ran"]]
+    return element(
+        "section",
+        element("h2", "IoU by experiment and class"),
+        element("p", f"Classes: {content['classes'].replace(',', ', ')}."),
+        data_table("IoU by experiment", ("experiment", "images", *names), rows),
+        element("p", note),
+        *(element("p", text) for text in missing),
+        bar_chart("iou", "IoU by class and experiment, in percent", groups),
+        legend([(key, f"{key}: {_short(item['title'])}") for key, item in ran]),
+    )
+
+
+def _short(title: str) -> str:
+    return title.removesuffix(", in the classes of photographs")
+
+
+def _result_row(key: str, item: Mapping[str, Any], columns: int) -> list[str]:
+    name = f"{key}: {_short(item['title'])}"
+    if not item["ran"]:
+        return [name, "not run", *[""] * columns]
+    return [name, f"{item['images']:,}", *map(format_measure, item["measures"])]
+
+
+def _difference_section(content: Mapping[str, Any]) -> Html:
+    lines = []
+    for item in content["differences"]:
+        mean = item["measures"][-1]
+        parts = ", ".join(
+            f"{measure['name']} {format_measure(measure, signed=True)}" for measure in item["measures"][:-1]
+        )
+        heading = f"{item['first']} above {item['second']} by {format_measure(mean, signed=True)}"
+        lines.append(element("li", element("strong", heading), f" of mean IoU; {parts}"))
+    note = "Percentage points with 95 % intervals of paired differences over the same images."
+    return element("section", element("h2", "Differences"), element("ul", *lines), element("p", note))
+
+
+def _organ_section(content: Mapping[str, Any]) -> Html:
+    """Experiment A in its own classes, where the others have fewer."""
+    results = {item["key"]: item for item in content["experiments"]}
+    if MERGED not in results:
+        return fragment()
+    rows = [
+        [measure["name"], *format_measure(measure).partition(" ± ")[::2]]
+        for measure in results["A"]["measures"]
+    ]
+    heads = ("class", "IoU, % [95 %]", "sd over seeds")
+    title = "Experiment A in all eight classes"
+    return element("section", element("h2", title), data_table(title, heads, rows))
+
+
+def _picture_section(content: Mapping[str, Any], pictures: Sequence[PictureRow]) -> Html:
+    classes = ClassTable.parse(content["classes"])
+    colours = ["#" + bytes(colour.tolist()).hex() for colour in classes.colours]
+    items = [element("span", swatch(code), name) for code, name in zip(colours, classes.names, strict=True)]
+    parts: list[Html] = [element("p", joined(items, " "), class_="legend")]
+    for row in pictures:
+        panels = [
+            ("photograph", jpeg_data_uri(row.photo)),
+            *((name, png_data_uri(image)) for name, image in row.panels),
+        ]
+        size = {"height": row.photo.shape[0], "width": row.photo.shape[1]}
+        figures = [
+            element(
+                "figure",
+                element("img", src=uri, alt=f"{name} of {row.name}", **size),
+                element("figcaption", name),
+            )
+            for name, uri in panels
+        ]
+        parts.append(
+            element("h3", f"{row.word.capitalize()} of B: {row.name}, mean IoU {100 * row.mean_iou:.1f} %")
+        )
+        parts.append(element("div", *figures, class_="row"))
+    title = "Photographs and predictions of the networks of seed 1"
+    return element("section", element("h2", title), *parts)
+
+
+def _curve_section(content: Mapping[str, Any]) -> Html:
+    parts: list[Html] = []
+    keys = dict.fromkeys(training["experiment"] for training in content["trainings"])
+    for number, key in enumerate(sorted(keys)):
+        trainings = [item for item in content["trainings"] if item["experiment"] == key]
+        charts = []
+        for field, label in (("loss", "loss"), ("mean_iou", "mean IoU of the validation")):
+            curves = [_curve(item, field) for item in trainings]
+            present = [curve for curve in curves if curve.x]
+            if present:
+                title = f"{label} of experiment {key} over steps"
+                charts.append(curve_chart(f"curve{number}-{field}", title, present, label, COLOURS[key[0]]))
+        parts += [element("h3", f"Experiment {key}"), element("div", *charts, class_="pair")]
+    note = (
+        "s: seed, f: fold. The network of A is the state with the highest mean IoU on its synthetic "
+        "validation images. Trainings without validation images use their last state."
+    )
+    return element("section", element("h2", "Trainings"), element("p", note), *parts)
+
+
+def _curve(training: Mapping[str, Any], field: str) -> Curve:
+    fold = "" if training["fold"] is None else f" f{training['fold']}"
+    points = [(entry["step"], entry[field]) for entry in training["log"] if entry[field] is not None]
+    name = f"s{training['seed']}{fold}"
+    return Curve(name, tuple(x for x, _ in points), tuple(y for _, y in points))

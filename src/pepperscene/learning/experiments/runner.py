@@ -1,0 +1,166 @@
+"""Training and testing of all networks; what exists is not repeated."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from pepperscene.dataset.store.atomic import write_json
+from pepperscene.errors import InputError
+from pepperscene.learning.evaluation.evaluate import evaluate
+from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
+from pepperscene.learning.models.trained_model import TrainedModel, load_model
+from pepperscene.learning.training.loop import LOG_FILE, TrainingProgress, train
+
+TRAININGS: Final = "trainings"
+TESTS: Final = "tests"
+TIMES: Final = "times.json"
+
+
+class JobRunner:
+    """Trains and tests networks in a folder.
+
+    Args:
+        out: the folder.
+        jobs: all of them, in order.
+        workers: processes that read images.
+        device: of torch; None for a GPU if there is one.
+        on_message: called with a line about what is being done, and whether it is one of many that can be
+            left out.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        jobs: Sequence[NetworkJob],
+        workers: int,
+        device: str | None,
+        on_message: Callable[[str, bool], None],
+    ) -> None:
+        self._out, self._jobs, self._workers, self._device = out, jobs, workers, device
+        self._on_message = on_message
+        self._images = {job.name: _count_images(job) for job in jobs}
+        self._left = sum(self._images[job.name] for job in jobs if not self.is_trained(job))
+
+    def run(self) -> None:
+        """Train and test all networks that are not there yet."""
+        for job in self._jobs:
+            if not self.is_trained(job):
+                self._train(job)
+            for test in job.tests:
+                if not self._test_file(job, test).is_file():
+                    self._evaluate(job, test)
+
+    def folder(self, job: NetworkJob) -> Path:
+        """Folder of a job's training."""
+        return self._out / TRAININGS / job.name
+
+    def load(self, job: NetworkJob) -> TrainedModel:
+        """The network of a finished job."""
+        model = load_model(self.folder(job))
+        return model if self._device is None else model.to(self._device)
+
+    def result(self, job: NetworkJob, test: NetworkTest) -> dict[str, Any]:
+        """The evaluation of a finished test, as JSON values."""
+        return _read_json(self._test_file(job, test))
+
+    def log(self, job: NetworkJob) -> list[dict[str, Any]]:
+        """Loss and validations of a training."""
+        return _read_log(self.folder(job) / LOG_FILE)
+
+    def times(self) -> dict[str, float]:
+        """Seconds that each training and test took."""
+        file = self._out / TIMES
+        return _read_json(file) if file.is_file() else {}
+
+    def is_trained(self, job: NetworkJob) -> bool:
+        """Whether the training of a job has taken its last step."""
+        log = self.log(job)
+        return bool(log) and log[-1].get("step") == job.options.steps
+
+    def _train(self, job: NetworkJob) -> None:
+        start = job.start if not isinstance(job.start, str) else self._out / TRAININGS / job.start
+        begin = time.monotonic()
+
+        def report(progress: TrainingProgress) -> None:
+            seconds = f"{_duration(progress.left_s)} left"
+            later = (self._left - self._images[job.name]) / max(progress.images_per_s, 1e-9)
+            total = f", {_duration(progress.left_s + later)} for all trainings" if later > 0 else ""
+            text = f"{job.describe()}: step {progress.step:,} of {progress.steps:,}, {seconds}{total}"
+            self._on_message(text, progress.step < progress.steps)
+
+        self._on_message(f"{job.describe()}: training", False)
+        try:
+            train(
+                job.images,
+                self.folder(job),
+                job.options,
+                validation=job.validation,
+                start=start,
+                resume=True,
+                workers=self._workers,
+                device=self._device,
+                on_progress=report,
+            )
+        finally:
+            self._add_time(job.name, time.monotonic() - begin)
+        self._left -= self._images[job.name]
+
+    def _evaluate(self, job: NetworkJob, test: NetworkTest) -> None:
+        name = f"seed {job.seed}" + ("" if job.fold is None else f", fold {job.fold}")
+        name += f", experiment {test.experiment}"
+        self._on_message(f"{name}: testing on {sum(map(len, test.images)):,} images", False)
+        begin = time.monotonic()
+        evaluation = evaluate(
+            self.load(job),
+            test.images,
+            classes=test.classes,
+            on_progress=lambda done, total: self._on_message(f"{name}: image {done:,} of {total:,}", True),
+        )
+        self._add_time(self._test_file(job, test).stem, time.monotonic() - begin)
+        self._test_file(job, test).parent.mkdir(exist_ok=True)
+        write_json(self._test_file(job, test), evaluation.to_json())
+
+    def _test_file(self, job: NetworkJob, test: NetworkTest) -> Path:
+        return self._out / TESTS / f"{job.name}_tests_{test.experiment}.json"
+
+    def _add_time(self, name: str, seconds: float) -> None:
+        times = self.times()
+        write_json(self._out / TIMES, {**times, name: round(times.get(name, 0.0) + seconds, 3)})
+
+
+def _count_images(job: NetworkJob) -> int:
+    options = job.options.completed()
+    return (options.steps or 0) * (options.batch or 0)
+
+
+def _duration(seconds: float) -> str:
+    """Hours, minutes or seconds."""
+    if seconds >= 3600:
+        return f"{seconds / 3600:.1f} h"
+    return f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_bytes())
+    except (OSError, ValueError):
+        raise InputError(file, "cannot be read; remove it to test the network again") from None
+    if not isinstance(content, Mapping):
+        raise InputError(file, "is damaged; remove it to test the network again")
+    return dict(content)
+
+
+def _read_log(file: Path) -> list[dict[str, Any]]:
+    """Complete lines of the log of a training; none if there is no log."""
+    lines = []
+    if file.is_file():
+        for line in file.read_text(encoding="utf-8").splitlines():
+            try:
+                lines.append(dict(json.loads(line)))
+            except ValueError:
+                continue
+    return lines
