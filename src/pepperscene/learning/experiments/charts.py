@@ -35,7 +35,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Curve:
+class TrainingCurve:
     """A line through points, and its name."""
 
     name: str
@@ -57,7 +57,9 @@ def bar_chart(chart_id: str, title: str, groups: Sequence[tuple[str, Sequence[Ba
     return _svg(chart_id, title, (_BAR_WIDTH, _BAR_HEIGHT), parts)
 
 
-def curve_chart(chart_id: str, title: str, curves: Sequence[Curve], y_label: str, colour: str) -> Html:
+def curve_chart(
+    chart_id: str, title: str, curves: Sequence[TrainingCurve], y_label: str, colour: str
+) -> Html:
     """Lines over steps, from 0 upwards; each is named where it ends."""
     ends = [max(curve.x) for curve in curves]
     top = _round_up(max(max(curve.y) for curve in curves))
@@ -108,7 +110,7 @@ def _bar(bar: Bar, left: float, width: float) -> Html:
     return joined([*parts, _text(label, middle, _y(high, _BAR_HEIGHT, 1) - 4, 11)])
 
 
-def _line(curve: Curve, end: float, top: float, colour: str, number: int) -> Html:
+def _line(curve: TrainingCurve, end: float, top: float, colour: str, number: int) -> Html:
     inner = _CURVE_WIDTH - _LEFT - _RIGHT - 60
     points = [
         (_LEFT + x / end * inner, _y(y, _CURVE_HEIGHT, top)) for x, y in zip(curve.x, curve.y, strict=True)

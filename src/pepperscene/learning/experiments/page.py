@@ -11,7 +11,7 @@ from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.experiments.charts import (
     COLOURS,
     Bar,
-    Curve,
+    TrainingCurve,
     bar_chart,
     curve_chart,
     legend,
@@ -233,8 +233,8 @@ def _curve_section(content: Mapping[str, Any]) -> Html:
     return element("section", element("h2", "Trainings"), element("p", note), *parts)
 
 
-def _curve(training: Mapping[str, Any], field: str) -> Curve:
+def _curve(training: Mapping[str, Any], field: str) -> TrainingCurve:
     fold = "" if training["fold"] is None else f" f{training['fold']}"
     points = [(entry["step"], entry[field]) for entry in training["log"] if entry[field] is not None]
     name = f"s{training['seed']}{fold}"
-    return Curve(name, tuple(x for x, _ in points), tuple(y for _, y in points))
+    return TrainingCurve(name, tuple(x for x, _ in points), tuple(y for _, y in points))
