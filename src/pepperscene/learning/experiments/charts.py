@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,8 +71,9 @@ def curve_chart(
         x = _LEFT + part * (_CURVE_WIDTH - _LEFT - _RIGHT - 60)
         parts.append(_text(f"{part * max(ends):,.0f}", x, _CURVE_HEIGHT - 22, 12))
     parts.append(_text("step", _CURVE_WIDTH - 30, _CURVE_HEIGHT - 22, 12))
-    for number, curve in enumerate(curves):
-        parts.append(_line(curve, max(ends), top, colour, number))
+    labels = _apart([_y(curve.y[-1], _CURVE_HEIGHT, top) for curve in curves])
+    for number, (curve, label_y) in enumerate(zip(curves, labels, strict=True)):
+        parts.append(_line(curve, max(ends), top, colour, number, label_y))
     return _svg(chart_id, title, size, parts)
 
 
@@ -110,7 +112,7 @@ def _bar(bar: Bar, left: float, width: float) -> Html:
     return joined([*parts, _text(label, middle, _y(high, _BAR_HEIGHT, 1) - 4, 11)])
 
 
-def _line(curve: TrainingCurve, end: float, top: float, colour: str, number: int) -> Html:
+def _line(curve: TrainingCurve, end: float, top: float, colour: str, number: int, label_y: float) -> Html:
     inner = _CURVE_WIDTH - _LEFT - _RIGHT - 60
     points = [
         (_LEFT + x / end * inner, _y(y, _CURVE_HEIGHT, top)) for x, y in zip(curve.x, curve.y, strict=True)
@@ -120,10 +122,20 @@ def _line(curve: TrainingCurve, end: float, top: float, colour: str, number: int
     line = element(
         "polyline", points=path, fill="none", stroke=colour, stroke_width=2, stroke_dasharray=dashes
     )
-    # Few lines only can be named beside each other.
-    label = _text(curve.name, points[-1][0] + 4, points[-1][1] + 4, 11, "start")
+    label = _text(curve.name, points[-1][0] + 4, label_y + 4, 11, "start")
     dot = element("circle", cx=f"{points[0][0]:.1f}", cy=f"{points[0][1]:.1f}", r=2, fill=colour)
     return joined([line, dot, label])
+
+
+def _apart(places: Sequence[float]) -> list[float]:
+    """Heights near these places at which names do not overlap."""
+    order = sorted(range(len(places)), key=lambda at: places[at])
+    moved = list(places)
+    for below, above in itertools.pairwise(order):
+        moved[above] = max(moved[above], moved[below] + 11)
+    # Names that would leave the chart move up together.
+    excess = max(0.0, max(moved) - (_CURVE_HEIGHT - _BOTTOM))
+    return [place - excess for place in moved]
 
 
 def _horizontal_grid(width: int, height: int, ticks: Sequence[float], unit: str, factor: float) -> Html:

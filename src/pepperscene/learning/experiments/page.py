@@ -26,7 +26,8 @@ _STYLE: Final = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 72rem; margin: 0 auto; padding: 1rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem 1.1rem .25rem 0; text-align: right; border-bottom: 1px solid #ccc; vertical-align: top; }
-th:first-child, td.text { text-align: left; }
+th:first-child { text-align: left; }
+td { white-space: nowrap; }
 .scroll { overflow-x: auto; }
 .chart { width: 100%; height: auto; }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem; }
@@ -133,7 +134,8 @@ def _result_section(content: Mapping[str, Any]) -> Html:
     ]
     note = (
         "IoU in %, [95 % interval over images] ± standard deviation over seeds. Confusion matrices of all "
-        "images, seeds and folds are added."
+        "images, seeds and folds are added. A class that is neither in the masks nor predicted has no IoU "
+        "(-) and is not in the mean."
     )
     missing = [f"{key} was not run: {item['why']}." for key, item in results if not item["ran"]]
     return element(

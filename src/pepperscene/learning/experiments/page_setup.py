@@ -29,7 +29,9 @@ def _image_lines(content: Mapping[str, Any]) -> list[str]:
         lines.append(f"synthetic {item['name']}: {item['images']:,} images ({digest}). {_parts(item)}")
     real = content["real"]
     without = f"; {real['unlabelled']:,} without a mask were left out" if real["unlabelled"] else ""
-    lines.append(f"real {real['name']}: {real['images']:,} images ({_names(real)}){without}. {_parts(real)}")
+    lines.append(
+        f"photographs {real['name']}: {real['images']:,} images ({_names(real)}){without}. {_parts(real)}"
+    )
     for number, fold in enumerate(real["folds"], start=1):
         validation = f", {fold['validation']} validate" if fold["validation"] else ""
         lines.append(f"fold {number}: {fold['train']} photographs train{validation}, {fold['test']} test.")

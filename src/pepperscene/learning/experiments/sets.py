@@ -136,14 +136,14 @@ def find_sources(
     is_model = other is not None and _is_model(Path(other))
     further = [] if other is None or is_model else [Path(other)]
     targets = label_targets([*places, Path(real), *further])
-    if labels is not None and not any(targets):
-        raise ArgumentError("labels", "applies only to a folder of images with masks; no set is one")
     applied = [labels if target else None for target in targets]
     opened = [_open(path, "synthetic", table) for path, table in zip(places, applied, strict=False)]
     photographs = _open(Path(real), "empirical", applied[len(places)])
     other_source: ImageSet | Path | None = None
     if other is not None:
         other_source = Path(other) if is_model else _open(Path(other), "synthetic", applied[-1])
+    if labels is not None and not any(targets):
+        raise ArgumentError("labels", "applies only to a folder of images with masks; no set is one")
     labelled, unlabelled = _with_masks(photographs)
 
     # Recipes share the frames evenly.
