@@ -7,8 +7,8 @@ recipe. Sets of fewer frames are parts of the full one. Run the same command aga
 
     python benchmarks/learning_ablation.py --real photographs --labels published --out out/ablation
 
-At the defaults it renders 6,000 frames and trains 27 networks, which takes days on two cores. Gloss, relief and
-spectral light cannot be switched off by a recipe, so that they are not among the variants.
+At the defaults it renders 6,000 frames and trains 27 networks, which takes days on two cores. Gloss,
+relief and spectral light cannot be switched off by a recipe, so that they are not among the variants.
 """
 
 from __future__ import annotations
@@ -38,20 +38,16 @@ FULL: Final = "full"
 FEWER_FRAMES: Final = (30, 100, 300, 1000, 3000)
 FEWER_PLANTS: Final = 4  # chosen: a tenth of the sets of plants of `randomised`
 
-_NONE: Final = {"mean": 0.0, "chosen": "left out to measure what it is good for"}
+WEAR: Final = (("lamina", "residue"), ("fruit", "residue"), ("lamina", "ageing"))
+"""Organs and their keys that make a crop look used."""
 
 ABLATIONS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        "no residue or ageing": {
-            "override.organs.lamina.residue": _NONE,
-            "override.organs.fruit.residue": _NONE,
-            "override.organs.lamina.ageing": _NONE,
-        },
         "no sensor noise": {"developing.shot_noise": False, "developing.read_noise": False},
         "no far rows": {"greenhouse.far_rows": 0},
     }
 )
-"""Changes of the recipe by name of the variant; "no variation" and "fewer plants" depend on the recipe."""
+"""Changes of the recipe by name of the variant; those of other variants depend on the recipe."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -101,7 +97,12 @@ def variants(options: argparse.Namespace) -> dict[str, Mapping[str, Any]]:
     """Changes of the recipe by name, those that the user has chosen; the full recipe is first."""
     recipe = resolve_recipe(options.recipe, common_changes(options)).recipe
     plan = recipe.plan
-    found: dict[str, Mapping[str, Any]] = {FULL: {}, **ABLATIONS, "no variation": typical_values(recipe)}
+    found: dict[str, Mapping[str, Any]] = {
+        FULL: {},
+        **ABLATIONS,
+        "no residue or ageing": clean_crop(recipe),
+        "no variation": typical_values(recipe),
+    }
     if plan.sets > FEWER_PLANTS:
         # As many frames in the plan, of fewer plants.
         frames = plan.frames * plan.sets // FEWER_PLANTS
@@ -113,6 +114,21 @@ def variants(options: argparse.Namespace) -> dict[str, Mapping[str, Any]]:
     if unknown:
         raise SystemExit(f"--variants: {unknown[0]} is none of {', '.join(found)}")
     return {FULL: {}, **{name: found[name] for name in chosen}}
+
+
+def clean_crop(recipe: Any) -> dict[str, Any]:
+    """Changes that remove residue and ageing; they have the form of what the recipe overrides already."""
+    changes: dict[str, Any] = {}
+    for organ, name in WEAR:
+        below = recipe.override.get("organs", {}).get(organ, {}).get(name, {})
+        key = f"override.organs.{organ}.{name}"
+        if "uniform" in below:
+            changes[f"{key}.uniform"] = [0.0, 1e-6]
+        elif "histogram" in below:
+            changes[f"{key}.histogram"] = [[0.0, 1e-6, 1.0]]
+        else:
+            changes[key] = {"value": 0.0, "chosen": "left out to measure what it is good for"}
+    return changes
 
 
 def typical_values(recipe: Any) -> dict[str, Any]:
