@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self, final
@@ -15,7 +15,7 @@ from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage, image
 from pepperscene.dataset.readers.labels import LabelMap
 from pepperscene.dataset.readers.published import PublishedSet, published_halves
 from pepperscene.dataset.store.dataset import MARK, Dataset, open_dataset
-from pepperscene.dataset.store.fields import frame_indices, read_frame, read_output
+from pepperscene.dataset.store.fields import frame_indices, read_frame, read_output, read_outputs
 from pepperscene.dataset.store.frame_json import DIGITS
 from pepperscene.errors import InputError
 from pepperscene.truth import class_from_colour, distance_from_code
@@ -49,18 +49,20 @@ class RenderedSet(ImageSet):
 
     def read(self, item: int) -> LabelledImage:
         """Read one frame; a field is None if the frame lacks its outputs."""
-        metadata = read_frame(self.dataset, item)
-        # A key of this name in the frame's JSON is no checked harvest.
-        metadata.pop("harvest", None)
-        outputs = metadata["outputs"]
+        metadata = self._read_metadata(item) if "metadata" in self.fields else {}
+        outputs = metadata["outputs"] if metadata else read_outputs(self.dataset, item)
         arrays = {field: self._read_field(item, field, outputs) for field in _SOURCES}
-        if "metadata" not in self.fields:
-            metadata = {}
-        elif "harvest" in outputs:
-            metadata["harvest"] = read_output(self.dataset, item, "harvest")
         return image_of_files(self.dataset.frame_path(item), _frame_name(item), metadata=metadata, **arrays)
 
-    def _read_field(self, index: int, field: str, outputs: Mapping[str, Any]) -> NDArray[Any] | None:
+    def _read_metadata(self, index: int) -> dict[str, Any]:
+        metadata = read_frame(self.dataset, index)
+        # A key of this name in the frame's JSON is no checked harvest.
+        metadata.pop("harvest", None)
+        if "harvest" in metadata["outputs"]:
+            metadata["harvest"] = read_output(self.dataset, index, "harvest")
+        return metadata
+
+    def _read_field(self, index: int, field: str, outputs: Collection[str]) -> NDArray[Any] | None:
         if field not in self.fields:
             return None
         for output, decode in _SOURCES[field]:

@@ -162,6 +162,13 @@ class _OutputEntry(_Fields):
     sha256: Digest
 
 
+class FrameFiles(_Fields):
+    """What reading the images of a frame uses of `frames/000000.json`."""
+
+    index: Place
+    outputs: dict[Text, _OutputEntry]
+
+
 class FrameFields(_Fields):
     """`frames/000000.json`."""
 

@@ -2,17 +2,21 @@
 
 A data set may come from anywhere. Each function here returns the content of a file only if all that this
 package uses of it has the right types; further keys are ignored. Whoever uses the content need not check it.
-The check of a frame's JSON takes half a millisecond for 300 instances, as long as parsing it.
+Parsing and checking a frame's JSON take 1.6 and 1.8 ms for 860 instances; its outputs alone take .4 ms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
+
+from pydantic import ValidationError
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.store.dataset import MARK, Dataset
-from pepperscene.dataset.store.field_models import DatasetFields, FrameFields, HarvestFields
+from pepperscene.dataset.store.field_models import DatasetFields, FrameFields, FrameFiles, HarvestFields
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.document import validate
@@ -45,9 +49,34 @@ def read_frame(dataset: Dataset, index: int) -> dict[str, Any]:
     path = dataset.frame_path(index)
     content = dataset.metadata(index)
     validate(FrameFields, content, path)
-    if content["index"] != index:
-        raise InputError(path, f"must be {index}, as in the name", key="index", value=content["index"])
+    _check_index(content["index"], index, path)
     return content
+
+
+def read_outputs(dataset: Dataset, index: int) -> Collection[str]:
+    """The names of a frame's outputs, much faster than `read_frame`.
+
+    Instances and other metadata are not checked.
+
+    Raises:
+        InputError: the frame's JSON is missing, is not valid JSON, belongs to another frame, or lists no
+            outputs.
+    """
+    path = dataset.frame_path(index)
+    with suppress(OSError, ValidationError):
+        files = FrameFiles.model_validate_json(path.read_bytes())
+        if files.index == index:
+            return files.outputs.keys()
+    # Python's parser reads all that `read_frame` reads, and its errors name the key.
+    content = dataset.metadata(index)
+    validate(FrameFiles, content, path)
+    _check_index(content["index"], index, path)
+    return content["outputs"].keys()
+
+
+def _check_index(found: int, expected: int, path: Path) -> None:
+    if found != expected:
+        raise InputError(path, f"must be {expected}, as in the name", key="index", value=found)
 
 
 def read_output(dataset: Dataset, index: int, output: str) -> Any:
