@@ -6,6 +6,7 @@ import importlib
 import os
 import shutil
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -17,6 +18,9 @@ from stand_in import StandIn
 
 from pepperscene.dataset import BuildOptions, Recipe, build, load_recipe, open_dataset
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
+
+_LAWS = Path(__file__).parents[1] / "laws"  # holds `processes`
+sys.path += [str(folder) for folder in (_LAWS,) if str(folder) not in sys.path]
 
 
 class FakeRenderer(StandIn):

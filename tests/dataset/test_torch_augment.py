@@ -1,257 +1,300 @@
-"""Augmentation moves images and labels together and makes up no labels."""
+"""Augmentations change images and labels together, make up no label, and are as strong as documented."""
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
-from torch_stand_in import coded_images
+from memory_set import SIZE, coded_arrays
 
-from pepperscene.dataset import (
-    Augmentation,
-    ColourJitter,
-    RandomBlur,
-    RandomFlip,
-    RandomJpeg,
-    RandomNoise,
-    RandomResizedCrop,
-)
+from pepperscene.dataset.readers.torch_augment import Augmentation
+from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
+from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
 from pepperscene.errors import ArgumentError
 
-HEIGHT, WIDTH = 40, 60
+PADDING = {"image": 0, "mask": 255, "instances": 0, "distance": np.inf}
+COLOUR_STEPS = (ColourJitter, RandomBlur, RandomNoise, RandomJpeg)
+NONE = dict.fromkeys(("brightness", "contrast", "saturation", "hue", "gamma", "gains"), 0.0)
+LUMA = np.array([0.299, 0.587, 0.114])
 
 
-@pytest.fixture
-def arrays():
-    image = coded_images(1)[0]
-    return {
-        "image": image.colour,
-        "mask": image.classes,
-        "instances": image.instances,
-        "distance": image.distance_m,
-    }
+def generator(seed=0):
+    return np.random.default_rng(seed)
 
 
-def grey(value=(90, 120, 60), size=(64, 48)):
-    return {"image": np.full((*size, 3), value, np.uint8)}
+def results(step, arrays, count=20):
+    return [step.apply(arrays, generator(seed)) for seed in range(count)]
 
 
-def coordinates(arrays):
-    """Row and column of the original at each pixel, by the image and by the instances, and where both are."""
-    image, instances = arrays["image"].astype(float), arrays["instances"].astype(int)
-    inside = instances > 0
-    by_image = (image[..., 0] - 1) / 2, (image[..., 1] - 1) / 2
-    return by_image, ((instances - 1) // WIDTH, (instances - 1) % WIDTH), inside
+def origin(numbers, width):
+    """Row and column in the original image of each pixel of a result."""
+    return np.divmod(numbers.astype(int) - 1, width)
 
 
-def test_flip_moves_all_arrays(arrays):
-    flipped = RandomFlip(probability=1.0).apply(arrays, np.random.default_rng(0))
-    for key, array in arrays.items():
-        np.testing.assert_array_equal(flipped[key], array[:, ::-1])
-    assert RandomFlip(probability=0.0).apply(arrays, np.random.default_rng(0)) is arrays
+def noise_image(size=(64, 96), low=80, high=170):
+    return generator(7).integers(low, high, (*size, 3)).astype(np.uint8)
 
 
-@pytest.mark.parametrize("size", [(40, 60), (25, 30), (70, 100), (20, 90), (1, 1)])
-@pytest.mark.parametrize("scale", [(0.5, 0.5), (2.0, 2.0), (1.0, 1.0), (0.5, 2.0)])
-def test_resized_crop_keeps_image_and_labels_together(arrays, size, scale):
-    crop = RandomResizedCrop(size, scale)
-    for seed in range(12):
-        result = crop.apply(arrays, np.random.default_rng(seed))
-        assert {key: array.shape[:2] for key, array in result.items()} == dict.fromkeys(arrays, size)
-        by_image, by_labels, inside = coordinates(result)
-        assert inside.any()
-        for value, expected, length in zip(by_image, by_labels, (HEIGHT, WIDTH), strict=True):
-            # The image is interpolated between pixel centres, and labels are of the nearest: half a pixel,
-            # plus half a code of rounding. Filters are cut off at the border, where the centre shifts.
-            borders = (expected < 2) | (expected > length - 3)
-            tolerance = np.where(borders, 1.3, 0.8)
-            assert (np.abs(value - expected) <= tolerance)[inside].all()
-        rows, columns = by_labels
-        np.testing.assert_array_equal(result["mask"][inside], (columns[inside] // 8) % 8)
-        np.testing.assert_array_equal(result["distance"][inside], (rows + columns)[inside])
-        # Outside the original.
-        assert (result["mask"][~inside] == 255).all()
-        assert np.isinf(result["distance"][~inside]).all()
+# Geometry.
+
+
+def test_flip_mirrors_image_and_labels_together():
+    arrays = coded_arrays()
+    for key, array in RandomFlip(probability=1.0).apply(arrays, generator()).items():
+        np.testing.assert_array_equal(array, arrays[key][:, ::-1])
+    flipped = [result["mask"][0, 0] != arrays["mask"][0, 0] for result in results(RandomFlip(), arrays, 200)]
+    assert 70 <= sum(flipped) <= 130
+
+
+@pytest.mark.parametrize("size", [(20, 30), (40, 60), (50, 30), (70, 90)])
+def test_crop_without_scaling_copies_the_same_pixels_of_all_arrays(size):
+    arrays = coded_arrays()
+    corners = set()
+    for result in results(RandomResizedCrop(size, scale=(1.0, 1.0)), arrays):
+        inside = result["instances"] > 0
+        rows, columns = origin(result["instances"][inside], SIZE[1])
+        for key, array in arrays.items():
+            assert result[key].shape[:2] == size
+            assert result[key].dtype == array.dtype
+            np.testing.assert_array_equal(result[key][inside], array[rows, columns])
+            assert (result[key][~inside] == PADDING[key]).all()
+        assert inside.sum() == min(size[0], SIZE[0]) * min(size[1], SIZE[1])
+        place = np.argwhere(inside)[0] - (rows[0], columns[0])
+        corners.add(tuple(place))
+    assert (len(corners) == 1) == (size == SIZE)
+
+
+@pytest.mark.parametrize("size", [(64, 48), (150, 200), (300, 420)])
+def test_scaled_crop_moves_image_and_labels_together(size):
+    arrays = coded_arrays(200, 240)
+    for result in results(RandomResizedCrop(size), arrays):
+        assert {array.shape[:2] for array in result.values()} == {size}
+        inside = result["instances"] > 0
+        rows, columns = origin(result["instances"][inside], 240)
+        # Labels are those of one pixel, all of the same one.
+        for key in ("mask", "instances", "distance"):
+            np.testing.assert_array_equal(result[key][inside], arrays[key][rows, columns])
+            assert (result[key][~inside] == PADDING[key]).all()
+        # An interpolated pixel is less than a pixel of the result, or of the original, from its label.
+        for channel, coordinate in enumerate((rows, columns)):
+            distance = np.abs(result["image"][inside][:, channel].astype(int) - coordinate)
+            assert distance.max() <= 2
+            assert distance.mean() < 0.8
         assert (result["image"][~inside] == 0).all()
 
 
-def test_scale_is_the_ratio_of_side_lengths(arrays):
-    for scale, area in ((0.5, 20 * 30), (2.0, 80 * 120)):
-        result = RandomResizedCrop((100, 130), (scale, scale)).apply(arrays, np.random.default_rng(0))
-        assert (result["instances"] > 0).sum() == area
-    sides = [
-        np.sqrt((RandomResizedCrop((90, 130)).apply(arrays, np.random.default_rng(k))["instances"] > 0).sum())
-        for k in range(200)
-    ]
-    ratios = np.array(sides) / np.sqrt(HEIGHT * WIDTH)
-    assert ratios.min() < 0.55
-    assert 1.8 < ratios.max() <= 2.0
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.15)
+def test_scale_is_within_its_bounds_and_log_uniform():
+    arrays = {"mask": np.zeros((100, 100), np.uint8)}
+    step = RandomResizedCrop((400, 400), scale=(0.5, 2.0))
+    sides = [np.sqrt((result["mask"] == 0).sum()) for result in results(step, arrays, 300)]
+    assert 50 <= min(sides) < 53
+    assert 192 < max(sides) <= 200
+    assert np.mean(np.log2(np.array(sides) / 100)) == pytest.approx(0.0, abs=0.1)
+    never = RandomResizedCrop((400, 400), probability=0.0)
+    assert {int((result["mask"] == 0).sum()) for result in results(never, arrays)} == {100 * 100}
 
 
-def test_crop_without_scaling_copies_pixels(arrays):
-    crop = RandomResizedCrop((20, 30), probability=0.0)
-    corners = set()
-    for seed in range(30):
-        result = crop.apply(arrays, np.random.default_rng(seed))
-        row, column = divmod(int(result["instances"][0, 0]) - 1, WIDTH)
-        corners.add((row, column))
-        for key, array in arrays.items():
-            np.testing.assert_array_equal(result[key], array[row : row + 20, column : column + 30])
-    assert len(corners) > 20
-    assert max(row for row, _ in corners) <= HEIGHT - 20
+def test_resizing_makes_up_no_label():
+    # Between 0 and 6 of alternate pixels, interpolation would give all classes.
+    rows, columns = np.mgrid[:50, :50]
+    labels = np.where((rows + columns) % 2 == 0, 0, 6).astype(np.uint8)
+    arrays = {"mask": labels, "instances": labels.astype(np.uint16) * 10_000}
+    for result in results(RandomResizedCrop((60, 60)), arrays):
+        assert set(np.unique(result["mask"])) <= {0, 6, 255}
+        assert set(np.unique(result["instances"])) <= {0, 60_000}
+        inside = result["mask"] != 255
+        np.testing.assert_array_equal(result["instances"][inside], result["mask"][inside] * np.uint16(10_000))
 
 
-def test_resizing_makes_up_no_label(arrays):
-    arrays = {**arrays, "mask": np.where(arrays["mask"] % 2, 2, 6).astype(np.uint8)}
-    for seed in range(40):
-        result = RandomResizedCrop((33, 47)).apply(arrays, np.random.default_rng(seed))
-        assert set(np.unique(result["mask"])) <= {2, 6, 255}
-        assert set(np.unique(result["instances"])) <= {0, *arrays["instances"].ravel().tolist()}
+def test_images_of_one_pixel_can_be_scaled():
+    for size in ((1, 1), (5, 3)):
+        for result in results(RandomResizedCrop(size), coded_arrays(1, 1)):
+            assert result["image"].shape == (*size, 3)
+            assert (result["instances"] == 1).any()
 
 
-def test_jitter_changes_the_values_as_documented():
-    off = {"brightness": 0, "contrast": 0, "saturation": 0, "hue": 0, "gamma": 0, "gains": 0}
-    rng = np.random.default_rng
-
-    def mean(seed=0, value=(90, 120, 60), **strengths):
-        step = ColourJitter(**{**off, **strengths}, probability=1.0)
-        return step.apply(grey(value), rng(seed))["image"].mean((0, 1))
-
-    np.testing.assert_array_equal(mean(), (90, 120, 60))
-    ratios = np.array([mean(seed, brightness=0.5) / (90, 120, 60) for seed in range(60)])
-    assert np.ptp(ratios, axis=1).max() < 0.02
-    assert 0.5 <= ratios.min() < 0.6
-    assert 1.4 < ratios.max() <= 1.51
-    # Contrast and saturation keep the mean grey; greys have neither saturation nor hue.
-    for strength in ("contrast", "saturation"):
-        luma = np.array([mean(seed, **{strength: 0.9}) @ (0.299, 0.587, 0.114) for seed in range(20)])
-        assert np.abs(luma - luma.mean()).max() < 1.0
-    for seed in range(10):
-        np.testing.assert_allclose(mean(seed, (80, 80, 80), saturation=1.0, hue=0.5), 80, atol=1)
-        assert mean(seed, hue=0.5).sum() == pytest.approx(270, abs=2)
-    # Half a turn or less of red towards green and blue.
-    assert np.ptp([mean(seed, (200, 20, 20), hue=0.3)[1] for seed in range(30)]) > 50
-    exponents = [np.log(mean(seed, gamma=0.5)[0] / 255) / np.log(90 / 255) for seed in range(60)]
-    assert np.exp(-0.5) - 0.02 < min(exponents) < 0.7
-    assert 1.5 < max(exponents) < np.exp(0.5) + 0.02
-    gains = np.array([mean(seed, gains=0.2) / (90, 120, 60) for seed in range(40)])
-    assert np.abs(np.corrcoef(gains.T) - np.eye(3)).max() < 0.5
-    assert 0.79 < gains.min() < gains.max() < 1.21
+# Colour.
 
 
-def test_contrast_is_about_the_mean_of_the_image():
-    image = np.full((8, 8, 3), 50, np.uint8)
-    image[4:] = 150
-    step = ColourJitter(brightness=0, contrast=0.5, saturation=0, hue=0, gamma=0, gains=0, probability=1)
-    for seed in range(10):
-        result = step.apply({"image": image}, np.random.default_rng(seed))["image"].astype(float)
-        assert result.mean() == pytest.approx(100, abs=1)
-        assert 0.5 < (result[4:].mean() - result[:4].mean()) / 100 < 1.5
-
-
-def test_noise_has_the_documented_distribution():
-    arrays, sigmas = grey((128, 128, 128), (300, 300)), []
-    for seed in range(30):
-        result = RandomNoise(sigma=10, probability=1.0).apply(arrays, np.random.default_rng(seed))["image"]
-        error = result.astype(float) - 128
-        assert abs(error.mean()) < 0.15
-        if error.std() > 1:
-            assert abs(np.corrcoef(error[:, 1:].ravel(), error[:, :-1].ravel())[0, 1]) < 0.02
-        sigmas.append(error.std())
-    assert 0.0 <= min(sigmas) < 2.0
-    assert 8.0 < max(sigmas) <= 10.2
-    dark = RandomNoise(sigma=10, probability=1.0).apply(grey((0, 255, 3)), np.random.default_rng(1))["image"]
-    assert dark[..., 0].mean() < 10  # no value wraps around
-    assert dark[..., 1].mean() > 245
-
-
-def test_blur_and_jpeg_change_details_alone():
-    rng = np.random.default_rng(3)
-    arrays = {
-        "image": rng.integers(90, 160, (64, 64, 3)).astype(np.uint8),
-        "mask": np.zeros((64, 64), np.uint8),
-    }
-    blurred = RandomBlur(sigma_px=4, probability=1.0).apply(arrays, np.random.default_rng(1))
-    assert blurred["image"].std() < 0.7 * arrays["image"].std()
-    assert blurred["image"].mean() == pytest.approx(arrays["image"].mean(), abs=1)
-    errors = []
-    for quality in (20, 95):
-        step = RandomJpeg(quality=(quality, quality), probability=1.0)
-        result = step.apply(arrays, rng)
-        assert result["mask"] is arrays["mask"]
-        errors.append(np.abs(result["image"].astype(int) - arrays["image"]).mean())
-    assert errors[0] > errors[1] > 0
-
-
-def test_steps_write_to_no_input_and_labels_alone_are_augmented(arrays):
+@pytest.mark.parametrize("step", [kind() for kind in COLOUR_STEPS], ids=lambda step: type(step).__name__)
+def test_colour_steps_change_the_image_alone(step):
+    arrays = {**coded_arrays(), "image": noise_image(SIZE)}
     copies = {key: array.copy() for key, array in arrays.items()}
-    for array in arrays.values():
-        array.setflags(write=False)
-    every = Augmentation.standard((30, 30))
-    for seed in range(8):
-        every.apply(arrays, np.random.default_rng(seed))
-    for key, array in copies.items():
-        np.testing.assert_array_equal(arrays[key], array)
-    result = every.apply({"mask": arrays["mask"]}, np.random.default_rng(0))
-    assert set(result) == {"mask"}
-    assert result["mask"].shape == (30, 30)
+    changed = 0
+    for result in results(step, arrays):
+        assert result["image"].shape == arrays["image"].shape
+        assert result["image"].dtype == np.uint8
+        changed += not np.array_equal(result["image"], arrays["image"])
+        assert all(result[key] is arrays[key] for key in ("mask", "instances", "distance"))
+    assert 0 < changed < 20
+    for key, array in arrays.items():
+        np.testing.assert_array_equal(array, copies[key])
 
 
-def test_samples_of_tensors_keep_their_types_and_other_keys(arrays):
-    torch = pytest.importorskip("torch")
+@pytest.mark.parametrize(
+    "step",
+    [
+        ColourJitter(**NONE, probability=1.0),
+        RandomBlur(sigma_px=0.0, probability=1.0),
+        RandomNoise(sigma=0.0, probability=1.0),
+        *(kind(probability=0.0) for kind in COLOUR_STEPS),
+        RandomFlip(probability=0.0),
+        RandomResizedCrop(SIZE, scale=(1.0, 1.0)),
+        Augmentation(()),
+    ],
+    ids=lambda step: type(step).__name__,
+)
+def test_strength_zero_is_the_identity(step):
+    arrays = {**coded_arrays(), "image": noise_image(SIZE, 0, 256)}
+    for result in results(step, arrays, 5):
+        for key, array in arrays.items():
+            np.testing.assert_array_equal(result[key], array)
+
+
+def jittered(image, **strengths):
+    step = ColourJitter(**{**NONE, **strengths}, probability=1.0)
+    return [result["image"].astype(float) for result in results(step, {"image": image})]
+
+
+def test_contrast_keeps_the_mean_grey():
+    image = noise_image()
+    deviations = [result.std() / image.std() for result in jittered(image, contrast=0.5)]
+    assert min(deviations) < 0.7
+    assert max(deviations) > 1.3
+    for result in jittered(image, contrast=0.5):
+        assert (result @ LUMA).mean() == pytest.approx((image @ LUMA).mean(), abs=1.0)
+
+
+def test_saturation_keeps_the_grey_of_each_pixel():
+    image = noise_image(low=110, high=140)
+    for result in jittered(image, saturation=1.0):
+        np.testing.assert_allclose(result @ LUMA, image @ LUMA, atol=1.01)
+
+
+def test_hue_keeps_greys_and_the_sum_of_the_channels():
+    image = noise_image(low=100, high=150)
+    for result in jittered(image, hue=0.5):
+        np.testing.assert_allclose(result.sum(-1), image.sum(-1), atol=3.01)
+    grey = np.full((4, 4, 3), 120, np.uint8)
+    assert all(np.array_equal(result, grey) for result in jittered(grey, hue=0.5))
+
+
+def test_brightness_and_gains_multiply():
+    grey = np.full((8, 8, 3), 100, np.uint8)
+    factors = [result.mean() / 100 for result in jittered(grey, brightness=0.25)]
+    assert 0.74 < min(factors) < 0.85
+    assert 1.15 < max(factors) < 1.26
+    for result in jittered(grey, gains=0.06):
+        assert np.ptp(result.reshape(-1, 3), axis=0).max() == 0
+        assert (np.abs(result[0, 0] - 100) <= 6).all()
+
+
+def test_gamma_keeps_black_and_white():
+    ends = np.zeros((2, 2, 3), np.uint8)
+    ends[0] = 255
+    assert all(np.array_equal(result, ends) for result in jittered(ends, gamma=1.0))
+    greys = [result.mean() for result in jittered(np.full((2, 2, 3), 64, np.uint8), gamma=0.5)]
+    lowest, highest = (255 * (64 / 255) ** np.exp(sign * 0.5) for sign in (1, -1))
+    assert lowest - 0.6 <= min(greys) < 64 < max(greys) <= highest + 0.6
+
+
+def test_noise_has_mean_zero_and_the_documented_deviation():
+    image = np.full((100, 100, 3), 128, np.uint8)
+    step = RandomNoise(sigma=8.0, probability=1.0)
+    noises = [result["image"].astype(float) - 128 for result in results(step, {"image": image})]
+    assert all(abs(noise.mean()) < 0.2 for noise in noises)
+    deviations = [noise.std() for noise in noises]
+    assert min(deviations) < 3
+    assert 6 < max(deviations) < 8.3
+    # Channels and neighbours are independent.
+    loudest = noises[int(np.argmax(deviations))]
+    assert abs(np.corrcoef(loudest[..., 0].ravel(), loudest[..., 1].ravel())[0, 1]) < 0.05
+    assert abs(np.corrcoef(loudest[:, 1:].ravel(), loudest[:, :-1].ravel())[0, 1]) < 0.05
+
+
+def test_blur_and_jpeg_keep_the_mean():
+    image = noise_image()
+    for step in (RandomBlur(sigma_px=3.0, probability=1.0), RandomJpeg(probability=1.0)):
+        for result in results(step, {"image": image}):
+            assert result["image"].mean() == pytest.approx(image.mean(), abs=1.0)
+
+
+def test_colour_steps_take_mirrored_images():
+    arrays = {"image": noise_image()}
+    steps = tuple(kind(probability=1.0) for kind in COLOUR_STEPS)
+    result = Augmentation((RandomFlip(probability=1.0), *steps)).apply(arrays, generator())
+    assert result["image"].shape == arrays["image"].shape
+
+
+# Whole augmentations.
+
+
+def test_results_depend_on_the_generator_alone():
+    augmentation = Augmentation.standard((30, 50))
+    first, again, other = (augmentation.apply(coded_arrays(), generator(seed)) for seed in (1, 1, 2))
+    for key, array in first.items():
+        np.testing.assert_array_equal(array, again[key])
+    assert not np.array_equal(first["image"], other["image"])
+
+
+def test_a_step_moves_the_same_whatever_the_keys():
+    arrays = coded_arrays()
+    everything = Augmentation.standard((30, 50)).apply(arrays, generator(3))
+    for keys in (("mask",), ("image", "mask"), ("instances", "distance")):
+        part = Augmentation.standard((30, 50)).apply({key: arrays[key] for key in keys}, generator(3))
+        for key in keys:
+            if key != "image":
+                np.testing.assert_array_equal(part[key], everything[key])
+
+
+def test_augmentation_of_a_sample_keeps_other_keys_and_the_sample():
+    torch = pytest.importorskip("torch", reason="torch is an extra, which is not installed")
+    arrays = coded_arrays()
     sample = {
-        "name": "one",
-        "image": torch.from_numpy(arrays["image"].transpose(2, 0, 1).copy()),
+        "name": "one", "image": torch.from_numpy(arrays["image"].transpose(2, 0, 1).copy()),
         "mask": torch.from_numpy(arrays["mask"].astype(np.int64)),
-    }
-    augmentation = Augmentation((RandomFlip(probability=1.0),))
-    result = augmentation(sample, np.random.default_rng(0))
+    }  # fmt: skip
+    result = Augmentation((RandomFlip(probability=1.0),))(sample, generator())
     assert result["name"] == "one"
     assert torch.equal(result["image"], sample["image"].flip(-1))
     assert torch.equal(result["mask"], sample["mask"].flip(-1))
     assert result["mask"].dtype == torch.int64
-    standard = Augmentation.standard((24, 32))
-    one, two = (standard(sample, np.random.default_rng(5)) for _ in range(2))
-    assert torch.equal(one["image"], two["image"])
-    assert one["image"].shape == (3, 24, 32)
-    # Without a generator, torch's decides.
-    results = []
-    for seed in (1, 1, 2):
-        torch.manual_seed(seed)
-        results.append(standard(sample)["image"])
-    assert torch.equal(results[0], results[1])
-    assert not torch.equal(results[0], results[2])
-    # Nothing shares memory with the sample.
-    kept = Augmentation(())(sample)
-    kept["mask"].zero_()
-    assert sample["mask"].any()
+    unchanged = Augmentation(())(sample)
+    unchanged["image"].zero_()
+    assert sample["image"].max() > 0
     with pytest.raises(ArgumentError, match="image: must be uint8 to be augmented: pass augmentation="):
-        augmentation({"image": torch.zeros(3, 4, 4)})
-
-
-def test_augmentations_are_values():
-    one = Augmentation.standard((30, 40))
-    assert one == Augmentation.standard((30, 40))
-    assert pickle.loads(pickle.dumps(one)) == one
-    assert Augmentation([RandomFlip()]).steps == (RandomFlip(),)
+        Augmentation(())({"image": torch.zeros(3, 4, 4)})
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: RandomFlip(probability=1.5), "probability: must be from 0 to 1, not 1.5"),
-        (lambda: RandomResizedCrop((0, 4)), "size: must be height and width, integers above 0"),
-        (lambda: RandomResizedCrop((4, 4), (2.0, 1.0)), "scale: must be the smallest and the largest"),
-        (lambda: ColourJitter(hue=0.7), "hue: must be from 0 to 0.5, not 0.7"),
-        (lambda: ColourJitter(gains=float("nan")), "gains: must be from 0 to 1, not nan"),
-        (lambda: RandomBlur(sigma_px=-1), "sigma_px: must be from 0 to 100"),
-        (lambda: RandomNoise(sigma=300), "sigma: must be from 0 to 255"),
-        (lambda: RandomJpeg(quality=(0, 50)), "quality: must be the lowest and the highest"),
-        (lambda: Augmentation((lambda x: x,)), r"steps: must be augmentation steps, such as RandomFlip\(\)"),
+        (lambda: RandomFlip(probability=1.1), "probability: must be from 0 to 1, not 1.1"),
+        (lambda: RandomBlur(probability=float("nan")), "probability: must be from 0 to 1, not nan"),
+        (lambda: RandomNoise(probability="often"), "probability: must be from 0 to 1, not 'often'"),
+        (lambda: RandomResizedCrop(256), "size: must be height and width, integers above 0, not 256"),
+        (lambda: RandomResizedCrop((0, 4)), "size: must be height and width"),
+        (lambda: RandomResizedCrop((4.0, 4.0)), "size: must be height and width"),
+        (lambda: Augmentation.standard((4,)), "size: must be height and width"),
+        (lambda: RandomResizedCrop((4, 4), scale=2.0), "scale: must be the smallest and the largest"),
+        (lambda: RandomResizedCrop((4, 4), scale=(2.0, 1.0)), "scale: must be the smallest and the largest"),
+        (lambda: RandomResizedCrop((4, 4), scale=(0.0, 1.0)), "from .01 to 100"),
+        (lambda: RandomResizedCrop((4, 4), scale=("a", "b")), "from .01 to 100"),
+        (lambda: ColourJitter(hue=0.6), "hue: must be from 0 to 0.5, not 0.6"),
+        (lambda: ColourJitter(brightness=-0.1), "brightness: must be from 0 to 1, not -0.1"),
+        (lambda: ColourJitter(gamma=None), "gamma: must be from 0 to 1, not None"),
+        (lambda: RandomBlur(sigma_px=-1), "sigma_px: must be from 0 to 100, not -1"),
+        (lambda: RandomNoise(sigma=300), "sigma: must be from 0 to 255, not 300"),
+        (
+            lambda: RandomJpeg(quality=90),
+            "quality: must be the lowest and the highest, integers from 1 to 100",
+        ),
+        (lambda: RandomJpeg(quality=(95, 40)), "quality: must be the lowest and the highest"),
+        (lambda: RandomJpeg(quality=(10.5, 90.5)), "quality: must be the lowest and the highest"),
+        (lambda: Augmentation(RandomFlip()), "steps: must be a sequence of augmentation steps"),
+        (lambda: Augmentation((len,)), "steps: must be augmentation steps, such as RandomFlip"),
     ],
 )
-def test_invalid_values_give_one_sentence(make, message):
-    with pytest.raises(ArgumentError, match=message):
+def test_invalid_arguments_are_one_sentence(make, message):
+    with pytest.raises(ArgumentError, match=message) as caught:
         make()
+    assert "\n" not in str(caught.value)

@@ -5,7 +5,7 @@ The steps compute with NumPy and Pillow, so that importing this module does not 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self, final
 
@@ -29,12 +29,15 @@ class Augmentation:
         steps: are applied in this order.
 
     Raises:
-        ArgumentError: a step is no `AugmentationStep`.
+        ArgumentError: the steps are no sequence, or one is no `AugmentationStep`.
     """
 
     steps: tuple[AugmentationStep, ...]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.steps, Iterable):
+            kind = type(self.steps).__name__
+            raise ArgumentError("steps", f"must be a sequence of augmentation steps, not {kind}")
         object.__setattr__(self, "steps", tuple(self.steps))
         for step in self.steps:
             if not isinstance(step, AugmentationStep):

@@ -17,6 +17,7 @@ from pepperscene.dataset.readers.torch_augment_step import (
     AugmentationStep,
     check_probability,
     check_strength,
+    is_range,
 )
 from pepperscene.errors import ArgumentError
 
@@ -186,8 +187,8 @@ class RandomJpeg(_ImageStep):
 
     def __post_init__(self) -> None:
         check_probability(self.probability)
-        if len(self.quality) != 2 or not 1 <= self.quality[0] <= self.quality[1] <= 100:
-            problem = f"must be the lowest and the highest, from 1 to 100, not {self.quality!r}"
+        if not is_range(self.quality, 1, 100, of_integers=True):
+            problem = f"must be the lowest and the highest, integers from 1 to 100, not {self.quality!r}"
             raise ArgumentError("quality", problem)
 
     def change(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:

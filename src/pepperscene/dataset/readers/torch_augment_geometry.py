@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.image_set import VOID
-from pepperscene.dataset.readers.torch_augment_step import Arrays, AugmentationStep, check_probability
+from pepperscene.dataset.readers.torch_augment_step import (
+    Arrays,
+    AugmentationStep,
+    check_probability,
+    is_range,
+)
 from pepperscene.errors import ArgumentError
 
 _PADDING: Final[Mapping[str, float]] = {"image": 0, "mask": VOID, "instances": 0, "distance": np.inf}
@@ -59,10 +64,10 @@ class RandomResizedCrop(AugmentationStep):
 
     def __post_init__(self) -> None:
         check_probability(self.probability)
-        if len(self.size) != 2 or not all(isinstance(n, int | np.integer) and n > 0 for n in self.size):
+        if not _is_size(self.size):
             problem = f"must be height and width, integers above 0, not {self.size!r}"
             raise ArgumentError("size", problem)
-        if len(self.scale) != 2 or not 0.01 <= self.scale[0] <= self.scale[1] <= 100:
+        if not is_range(self.scale, 0.01, 100):
             problem = f"must be the smallest and the largest, from .01 to 100, not {self.scale!r}"
             raise ArgumentError("scale", problem)
 
@@ -83,6 +88,12 @@ class RandomResizedCrop(AugmentationStep):
         result = np.full((*self.size, *array.shape[2:]), _PADDING[key], array.dtype)
         result[rows.start : rows.start + rows.count, columns.start : columns.start + columns.count] = part
         return result
+
+
+def _is_size(size: Any) -> bool:
+    if not isinstance(size, Sequence) or len(size) != 2:
+        return False
+    return all(isinstance(length, int | np.integer) and length > 0 for length in size)
 
 
 @dataclass(frozen=True)

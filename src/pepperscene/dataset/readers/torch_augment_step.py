@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -33,11 +33,23 @@ class AugmentationStep(ABC):
 
 def check_probability(probability: float) -> None:
     """Raise `ArgumentError` unless a probability is from 0 to 1."""
-    if not 0.0 <= probability <= 1.0:
+    if not _is_number(probability) or not 0.0 <= probability <= 1.0:
         raise ArgumentError("probability", f"must be from 0 to 1, not {probability!r}")
 
 
 def check_strength(name: str, value: float, largest: float) -> None:
     """Raise `ArgumentError` unless the strength of this name is from 0 to the largest allowed."""
-    if not 0.0 <= value <= largest:
+    if not _is_number(value) or not 0.0 <= value <= largest:
         raise ArgumentError(name, f"must be from 0 to {largest:g}, not {value!r}")
+
+
+def is_range(pair: Any, smallest: float, largest: float, *, of_integers: bool = False) -> bool:
+    """Whether a value is two ascending numbers from `smallest` to `largest`."""
+    if not isinstance(pair, Sequence) or len(pair) != 2 or not all(map(_is_number, pair)):
+        return False
+    is_integer = all(isinstance(number, int | np.integer) for number in pair)
+    return (is_integer or not of_integers) and bool(smallest <= pair[0] <= pair[1] <= largest)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating)

@@ -59,7 +59,7 @@ def torch_images(
         InputError: the folder cannot be read, an argument is not allowed, or the split is empty.
         SetupError: torch is not installed, or `tensors` is "tv" and torchvision cannot be imported.
     """
-    keys = tuple(keys)
+    keys = _as_tuple(keys)
     unknown = [str(key) for key in keys if key not in ARRAY_KEYS]
     if unknown or not keys:
         allowed = ", ".join(ARRAY_KEYS)
@@ -149,6 +149,8 @@ def _sample_options(
     if augmentation is not None and not isinstance(augmentation, Augmentation):
         kind = type(augmentation).__name__
         raise ArgumentError("augmentation", f"must be an Augmentation, not {kind}: pass others as transform")
+    if transform is not None and not callable(transform):
+        raise ArgumentError("transform", f"must be a function, not {transform!r}")
     if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
         raise ArgumentError("seed", f"must be an integer from 0, or None, not {seed!r}")
     try:
@@ -164,14 +166,19 @@ def _sample_options(
 
 def _class_ids(classes: Sequence[str | int]) -> tuple[int, ...]:
     names = {organ_class.name.lower(): int(organ_class) for organ_class in OrganClass}
-    given = (classes,) if isinstance(classes, str | int) else tuple(classes)
-    ids = tuple(names.get(item, -1) if isinstance(item, str) else int(item) for item in given)
+    given = _as_tuple(classes)
+    ids = tuple(names.get(item, -1) if isinstance(item, str) else item for item in given)
     if not ids or len(set(ids)) < len(ids) or not set(ids) <= set(names.values()):
         allowed = f"{', '.join(names)}, each once"
         raise ArgumentError(
             "classes", f"must be some of {allowed}, not {', '.join(map(str, given)) or 'none'}"
         )
-    return ids
+    return tuple(map(int, ids))
+
+
+def _as_tuple(values: Any) -> tuple[Any, ...]:
+    """The values of a sequence, or the only one."""
+    return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else (values,)
 
 
 def _open_split(source: ImageSet | str | Path, splits: Splits | None, split: str) -> ImageSet:
