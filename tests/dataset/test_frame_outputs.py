@@ -1,4 +1,4 @@
-"""Images alone are read without a check of the metadata, and damaged frames are the same errors as with it."""
+"""Images alone are read without a check of the metadata; damaged frames are the same errors as with it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ REFUSED = {
 }
 ACCEPTED = {
     "surrogate": lambda text: text.replace("{", r'{"note": "\ud800",', 1).encode(),
-    "deep": lambda text: text.replace("{", '{"note": %s,' % DEEP, 1).encode(),
+    "deep": lambda text: text.replace("{", f'{{"note": {DEEP},', 1).encode(),
     "nan": lambda text: text.replace("{", '{"note": NaN,', 1).encode(),
     "twice": lambda text: text.replace("{", '{"index": 77,', 1).encode(),
     "utf_16": lambda text: text.encode("utf-16"),
@@ -65,7 +65,7 @@ def test_a_missing_frame_is_the_same_error_with_and_without_metadata(copied, sma
     images = open_images(dataset.folder)
     dataset.frame_path(0).unlink()
     for fields in (("colour",), ("colour", "metadata")):
-        with pytest.raises(InputError, match="000000.json: cannot be read"):
+        with pytest.raises(InputError, match=r"000000\.json: cannot be read"):
             images.select(*fields)[0]
 
 
@@ -82,5 +82,5 @@ def test_what_python_reads_as_json_is_read_without_metadata(case, copied, small)
 def test_instances_are_checked_only_with_the_metadata(copied, small):
     images = damage(copied, small, lambda text: changed(text, instances="text"))
     assert images.select("classes")[0].classes is not None
-    with pytest.raises(InputError, match="000000.json: instances = 'text'"):
+    with pytest.raises(InputError, match=r"000000\.json: instances = 'text'"):
         images[0]
