@@ -124,6 +124,27 @@ def test_fine_tuning_keeps_the_networks_classes(tmp_path):
     assert not (tmp_path / "no").exists()
 
 
+def test_a_training_killed_at_its_first_checkpoint_is_resumed(tmp_path):
+    train([shapes(4)], tmp_path / "a", quick())
+    train([shapes(4)], tmp_path / "b", quick())
+    (tmp_path / "b" / "state.safetensors").unlink()
+    (tmp_path / "b" / ".state.safetensors.host.1.00.tmp").write_bytes(b"half")
+    with pytest.raises(OutputError, match="holds no training"):
+        train([shapes(4)], tmp_path / "b", quick())
+    train([shapes(4)], tmp_path / "b", quick(), resume=True)
+    for name in ("model.safetensors", "state.safetensors", LOG_FILE):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_defaults_of_fine_tuning_are_those_of_the_model_it_starts_from(tmp_path):
+    options = quick(model="deeplab_vgg16,width=0.05", classes=SHAPES)
+    train([shapes(4)], tmp_path / "start", options)
+    default = TrainingOptions(steps=2, batch=2, size=(32, 32), width=None)
+    model = train([shapes(4)], tmp_path / "tuned", default, start=tmp_path / "start")
+    assert model.training["options"]["learning_rate"] == 5e-5
+    assert model.training["options"]["classes"] == SHAPES
+
+
 def test_the_best_state_is_kept_and_progress_is_reported(tmp_path):
     reports = []
     model = train(

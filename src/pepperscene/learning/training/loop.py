@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.store.atomic import check_can_create, write_error, write_file
+from pepperscene.dataset.store.atomic import check_can_create, is_temporary, write_error, write_file
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.confusion import confusion_matrix, mean_intersection_over_union
@@ -95,10 +95,12 @@ def train(
             the folder holds another training.
         OutputError: the folder is not empty, or cannot be written to.
     """
-    chosen, folder = (options or TrainingOptions()).completed(), Path(out)
+    chosen, folder = options or TrainingOptions(), Path(out)
     origin = load_model(start) if isinstance(start, str | Path) else start
     if origin is not None:
-        chosen = replace(chosen, model=origin.model)
+        # The defaults are those of the model that is adapted, not those of the small one.
+        chosen = replace(chosen, model=origin.model, classes=chosen.classes or str(origin.classes))
+    chosen = chosen.completed()
     labels = ClassTable.parse(chosen.classes)
     _check_sets(sets, "sets")
     _check_sets(validation, "validation")
@@ -280,7 +282,9 @@ def _check_sets(sets: Sequence[ImageSet], where: str) -> None:
 
 def _check_folder(folder: Path, resume: bool) -> None:
     check_can_create(folder)
-    if not folder.is_dir() or not any(folder.iterdir()):
+    names = {path.name for path in folder.iterdir() if not is_temporary(path)} if folder.is_dir() else set()
+    # A training that was killed at its first checkpoint may have left a model or a log, but no state.
+    if not names or (resume and names <= {MODEL_FILE, LOG_FILE}):
         return
     if not (folder / STATE_FILE).is_file():
         raise OutputError(f"{folder}: is not empty and holds no training; choose another folder")
