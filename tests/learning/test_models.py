@@ -1,170 +1,401 @@
-"""Networks: sizes, fields of view, options, and files."""
+"""Networks, and the files of trained ones."""
 
 from __future__ import annotations
 
+import json
 import pickle
+import sys
 
 import numpy as np
 import pytest
+from painted_bands import write_bands
+from typer.testing import CliRunner
 
-torch = pytest.importorskip("torch")
+from pepperscene.cli import app
+from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError
+from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 
-from pepperscene.errors import ArgumentError, InputError  # noqa: E402
-from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable  # noqa: E402
+torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
+safetensors = pytest.importorskip("safetensors.torch", reason="the extra `learn` installs safetensors")
+
+from pepperscene.learning.model_names import MODELS, model_defaults  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, load_model  # noqa: E402
-from pepperscene.learning.models.trained_model import FORMAT, read_weights  # noqa: E402
+from pepperscene.learning.models.deeplab import DeepLab  # noqa: E402
+from pepperscene.learning.models.registry import without_initial_weights  # noqa: E402
+from pepperscene.learning.models.trained_model import FORMAT, apply_model, weights_as_bytes  # noqa: E402
 
-MODELS = ("small,width=0.25", "deeplab_vgg16,width=0.05", "deeplab_vgg16,width=0.05,field=224")
-FACTORIES = """
+FRUIT = ClassTable.parse(FRUIT_CLASSES)
+NARROW = "deeplab_vgg16,width=0.02"
+OWN_NETS = """
 import torch
 from torch import nn
 
-class Halved(nn.Module):
-    def __init__(self, classes, scale=1):
+def half(classes, channels=4):
+    return nn.Sequential(nn.Conv2d(3, channels, 3, 2, 1), nn.ReLU(), nn.Conv2d(channels, classes, 1))
+
+class AsDict(nn.Module):
+    def __init__(self, classes):
         super().__init__()
-        self.layer = nn.Conv2d(3, classes, 3, stride=2, padding=1)
-
+        self.layer = nn.Conv2d(3, classes, 1)
     def forward(self, images):
-        return self.layer(images)
+        return {"out": self.layer(images), "aux": None}
 
-class Dictionary(Halved):
+class Tied(nn.Module):
+    def __init__(self, classes):
+        super().__init__()
+        self.a = nn.Conv2d(3, classes, 1)
+        self.b = nn.Conv2d(3, classes, 1)
+        self.b.weight = self.a.weight
     def forward(self, images):
-        return {"out": self.layer(images)}
+        return self.a(images) + self.b(images)
 
-def number(classes):
-    return classes
+def seven(classes):
+    return nn.Conv2d(3, 7, 1)
+
+def flat(classes):
+    return nn.Sequential(nn.Conv2d(3, classes, 1), nn.Flatten())
+
+def no_dict_key(classes):
+    class Other(AsDict):
+        def forward(self, images):
+            return {"logits": self.layer(images)}
+    return Other(classes)
+
+def text(classes):
+    return "a network"
+
+def without_weights(classes):
+    return nn.Identity()
+
+number = 3
 """
 
 
 @pytest.fixture
-def factories(tmp_path, monkeypatch):
-    """A module `my_networks` in the current folder."""
-    (tmp_path / "my_networks.py").write_text(FACTORIES)
+def own_nets(tmp_path, monkeypatch):
+    """A module of networks in the current folder."""
+    (tmp_path / "own_nets.py").write_text(OWN_NETS)
+    (tmp_path / "faulty_nets.py").write_text("def half(classes:\n")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
+    # `python -m pytest` puts its first folder in place of the current one.
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    yield tmp_path
+    sys.modules.pop("own_nets", None)
 
 
-def random_image(shape=(37, 50)):
-    return np.random.default_rng(0).integers(0, 256, (*shape, 3)).astype(np.uint8)
+def images_of(height, width, count=1, seed=0):
+    return torch.rand((count, 3, height, width), generator=torch.Generator().manual_seed(seed))
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("size", [(32, 48), (33, 47), (40, 71)])
-def test_logits_have_the_size_of_the_image(model, size):
-    network = build_model(model, 5).eval()
+def trained(model="small,width=0.3", classes=FRUIT, width=None):
+    torch.manual_seed(5)
+    module = build_model(model, len(classes))
+    # Statistics of batches, as after a training.
+    module.train()(images_of(40, 56, 3))
+    return TrainedModel(module, model, classes, width, {"note": "of a test"})
+
+
+# --- shapes and sizes -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["small", "small,width=0.3", NARROW, f"{NARROW},field=224"])
+@pytest.mark.parametrize("size", [(1, 1), (1, 37), (37, 2), (33, 47), (16, 64), (101, 75)])
+def test_logits_have_the_size_of_the_images(model, size):
+    module = build_model(model, 5).eval()
     with torch.inference_mode():
-        assert network(torch.rand(2, 3, *size)).shape == (2, 5, *size)
+        logits = module(images_of(*size, count=2))
+    assert logits.shape == (2, 5, *size)
+    assert torch.isfinite(logits).all()
 
 
-def test_numbers_of_weights_are_those_of_the_publications():
-    # Chen et al. 2015, Table 2: 65.1 and 20.5 million for 21 classes.
-    for options, millions in (("", 65.1), (",field=224", 20.5)):
-        with torch.device("meta"):
-            network = build_model(f"deeplab_vgg16{options}", 21)
-        assert sum(weight.numel() for weight in network.parameters()) / 1e6 == pytest.approx(
-            millions, abs=0.06
-        )
-    assert sum(weight.numel() for weight in build_model("small", 8).parameters()) < 1e6
+@pytest.mark.parametrize(("field", "millions"), [(128, 65.1), (224, 20.5)])
+def test_deeplab_has_the_number_of_weights_of_its_paper(field, millions):
+    """Table 2 of Chen et al. 2015, for the 21 classes of PASCAL VOC."""
+    module = DeepLab(21, field)
+    assert sum(weights.numel() for weights in module.parameters()) / 1e6 == pytest.approx(millions, abs=0.05)
+
+
+def test_the_small_network_has_its_stated_number_of_weights():
+    module = build_model("small", 8)
+    assert sum(weights.numel() for weights in module.parameters()) / 1e6 == pytest.approx(0.9, abs=0.05)
+
+
+def _extent(gradient):
+    """Rows and columns between the first and the last that are not zero, of a tensor `(1, c, h, w)`."""
+    touched = gradient[0].abs().amax(dim=0) > 0
+    rows, columns = touched.any(dim=1).nonzero(), touched.any(dim=0).nonzero()
+    return tuple(int(lines.max() - lines.min()) + 1 for lines in (rows, columns))
 
 
 @pytest.mark.parametrize(("field", "kernel", "dilation"), [(128, 4, 4), (224, 3, 12)])
-def test_deeplab_sees_the_published_field_at_stride_eight(field, kernel, dilation):
-    network = build_model(f"deeplab_vgg16,width=0.02,field={field}", 2).eval()
+def test_field_of_view_by_gradients_is_that_of_the_published_layers(field, kernel, dilation):
+    torch.manual_seed(0)
+    module = DeepLab(3, field, width=0.05).eval()
+    images = images_of(33 * 8, 33 * 8).requires_grad_()
+    features = module.features(images)
+    # A stride of 8 pixels in both directions.
+    assert features.shape[-2:] == (33, 33)
+    cells = features.detach().requires_grad_()
+    logits = module.head(cells)
+    assert logits.shape[-2:] == (33, 33)
+    (gradient,) = torch.autograd.grad(logits[0, :, 16, 16].sum(), cells)
+    side = (kernel - 1) * dilation + 1
+    assert _extent(gradient) == (side, side)
+    # Of the cells in this square only those of the dilated kernel are seen.
+    touched = gradient[0].abs().amax(dim=0) > 0
+    assert int(touched.sum()) == kernel**2
+    # A cell of the features sees `reach` pixels, and the next one eight pixels further: by Eq. 1 of Araujo
+    # et al. 2019, "Computing receptive fields of convolutional neural networks", Distill.
+    (gradient,) = torch.autograd.grad(features[0, :, 16, 16].sum(), images, retain_graph=True)
+    jump, reach = 1, 1
+    for layer in module.features:
+        if hasattr(layer, "kernel_size"):
+            size, stride, spread = (
+                value[0] if isinstance(value, tuple) else value
+                for value in (layer.kernel_size, layer.stride, layer.dilation)
+            )
+            reach += (size - 1) * spread * jump
+            jump *= stride
+    assert jump == 8
+    # Padding of the largest values hides the outermost pixels of some pooling windows.
+    measured = _extent(gradient)
+    assert reach - 2 * jump <= min(measured) <= max(measured) <= reach
+
+
+def test_an_output_of_deeplab_moves_with_its_input():
+    """A shift by the stride is a shift of the logits, away from the borders."""
+    torch.manual_seed(1)
+    module = DeepLab(3, width=0.02).eval()
+    image = images_of(56 * 8, 56 * 8)
+    shifted = image.roll((8, -16), dims=(2, 3))
     with torch.inference_mode():
-        cells = network.features(torch.rand(1, 3, 256, 320))
-    assert cells.shape[-2:] == (32, 40)
-    # The reach of one output in cells: the kernel's, since all other layers of the head have one cell.
-    features = torch.rand(1, cells.shape[1], 41, 41, requires_grad=True)
-    for module in network.head:
-        if isinstance(module, torch.nn.Conv2d):
-            torch.nn.init.ones_(module.weight)
-    network.head(features)[0, 0, 20, 20].backward()
-    (touched,) = torch.nonzero(features.grad[0, 0].abs().sum(dim=0), as_tuple=True)
-    assert int(touched.max() - touched.min()) == (kernel - 1) * dilation
-    # The published field is that of the kernel without its last cell, in pixels, and a border of the cells.
-    assert abs(((kernel - 1) * dilation + 1) * 8 - field) <= 32
+        plain, moved = (module.head(module.features(x))[..., 27:30, 27:30] for x in (image, shifted))
+        expected = module.head(module.features(image))[..., 26:29, 29:32]
+    assert not torch.allclose(plain, expected)
+    torch.testing.assert_close(moved, expected, rtol=1e-4, atol=1e-5)
 
 
-def test_options_are_part_of_the_model(factories):
-    wide, narrow = build_model("small,width=2", 8), build_model("small, width=1.0", 8)
-    assert wide.stem[0].out_channels == 2 * narrow.stem[0].out_channels
-    assert build_model("my_networks:Halved,scale=2", 3).layer.out_channels == 3
+# --- texts of models --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["Halved", "Dictionary"])
-def test_networks_of_the_user_may_return_smaller_logits_or_a_dictionary(factories, name):
-    model = TrainedModel(build_model(f"my_networks:{name}", 8), f"my_networks:{name}", ClassTable.organs())
-    probabilities = model.probabilities(random_image())
-    assert probabilities.shape == (8, 37, 50)
-    np.testing.assert_allclose(probabilities.sum(axis=0), 1, atol=1e-5)
+def test_options_in_the_text_of_a_model():
+    assert build_model(" small , width = 0.3 ", 4).classify.out_channels == 16
+    widths = [build_model(f"small,width={width}", 4).stem[0].out_channels for width in (0.3, 1, 2)]
+    assert widths == [8, 24, 48]
+    assert build_model(f"{NARROW},field=224", 4).head[1].dilation == (12, 12)
+    assert model_defaults("small,width=0.5") is MODELS["small"]
+    assert (model_defaults("own_nets:half").batch, model_defaults("own_nets:half").factory) == (
+        8, "own_nets:half",
+    )  # fmt: skip
+    assert without_initial_weights("deeplab_vgg16, weights=a.safetensors,field=224") == (
+        "deeplab_vgg16,field=224"
+    )
+    assert without_initial_weights("own:net,weights=1") == "own:net,weights=1"
+
+
+def test_models_of_the_user_from_a_file_in_the_current_folder(own_nets):
+    image = images_of(21, 30, 2)
+    half = build_model("own_nets:half,channels=5", 3)
+    assert half(image).shape == (2, 3, 11, 15)
+    assert apply_model(half, image).shape == (2, 3, 21, 30)
+    as_dict = build_model("own_nets:AsDict", 3)
+    assert torch.equal(apply_model(as_dict, image), as_dict.layer(image))
 
 
 @pytest.mark.parametrize(
     ("model", "message"),
     [
         ("large", "must be small, deeplab_vgg16 or module:factory, not 'large'"),
+        ("", "must be small, deeplab_vgg16 or module:factory, not ''"),
         ("small,depth=3", "small has no option depth; its options are width"),
+        ("small,classes=3", "small has no option classes; its options are width"),
         ("small,width", "options are key=value, each once"),
         ("small,width=1,width=2", "options are key=value, each once"),
-        ("deeplab_vgg16,field=100", "field must be 128 or 224, not 100"),
-        ("no_such_module:make", "no_such_module cannot be imported"),
-        ("my_networks:missing", "my_networks has no missing"),
-        ("my_networks:number", "my_networks:number must return a torch.nn.Module, not int"),
+        ("small,width=wide", "small,width=wide cannot be made"),
+        ("small,width=inf", "small,width=inf cannot be made"),
+        ("deeplab_vgg16,field=96", "field must be 128 or 224, not 96"),
+        ("nowhere_nets:half", "nowhere_nets cannot be imported (No module named 'nowhere_nets')"),
+        ("faulty_nets:half", "faulty_nets cannot be imported ("),
+        (".nets:half", ".nets cannot be imported ("),
+        ("own_nets:third", "own_nets has no third"),
+        ("own_nets:number", "own_nets:number is not callable"),
+        ("own_nets:text", "own_nets:text must return a torch.nn.Module, not str"),
+        ("own_nets:without_weights", "own_nets:without_weights has no weights to train"),
+        ("own_nets:half,width=2", "own_nets:half has no option width; its options are channels"),
+        ("own_nets:half,channels=a", "own_nets:half,channels=a cannot be made"),
+        ("own_nets:seven", "must return logits of 8 classes, not 7"),
+        ("own_nets:flat", "must return logits (n, classes, h, w)"),
+        ("own_nets:no_dict_key", 'or a dict with these as "out"'),
     ],
 )
-def test_other_models_are_rejected(factories, model, message):
-    with pytest.raises(ArgumentError, match=message.replace("(", "\\(")):
-        build_model(model, 8)
+def test_rejects_wrong_models_in_one_sentence(own_nets, model, message):
+    sets = write_bands(own_nets / "set", 2)
+    options = ["--out", "out", "--steps", "1", "--batch", "1", "--size", "32x32"]
+    result = CliRunner().invoke(app, ["train", str(sets), "--model", model, *options])
+    assert result.exit_code == EXIT_BAD_INPUT, result.output
+    assert result.stderr.startswith("error: --model: ")
+    assert result.stderr.count("\n") == 1
+    assert message in result.stderr
+    assert not (own_nets / "out").exists()
 
 
-def test_weights_of_vgg16_are_copied_by_torchvisions_names(tmp_path):
-    from safetensors.torch import save_file
+# --- initial weights --------------------------------------------------------------------------------------
 
-    source = build_model("deeplab_vgg16,width=0.05", 8)
+
+def test_weights_of_vgg16_are_read_from_a_file_with_the_names_of_torchvision(tmp_path):
+    file = tmp_path / "vgg16.safetensors"
+    torch.manual_seed(2)
+    source = DeepLab(3, width=0.02)
     stored = {f"features.{name}": value for name, value in source.features.state_dict().items()}
-    stored["classifier.0.weight"] = torch.zeros(3)
-    file = tmp_path / "vgg.safetensors"
-    save_file(stored, file)
-    network = build_model(f"deeplab_vgg16,width=0.05,weights={file}", 8)
-    for name, value in source.features.state_dict().items():
-        assert torch.equal(network.features.state_dict()[name], value)
-    with pytest.raises(InputError, match=r"must hold features.5.weight of shape \(13, 8, 3, 3\)"):
-        build_model(f"deeplab_vgg16,width=0.1,weights={file}", 8)
-    with pytest.raises(InputError, match="does not exist"):
-        build_model(f"deeplab_vgg16,width=0.1,weights={tmp_path / 'none'}", 8)
+    # The convolutions of VGG-16 in torchvision; further layers of a file are ignored.
+    numbers = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
+    assert sorted(stored) == sorted(f"features.{n}.{kind}" for n in numbers for kind in ("weight", "bias"))
+    safetensors.save_file({**stored, "classifier.0.weight": torch.zeros(3)}, file)
+    model = build_model(f"{NARROW},weights={file}", 3)
+    for name, value in model.features.state_dict().items():
+        assert torch.equal(value, stored[f"features.{name}"])
+
+    wrong, few = tmp_path / "wrong.safetensors", tmp_path / "few.safetensors"
+    safetensors.save_file({**stored, "features.0.weight": torch.zeros(9, 3, 3, 3)}, wrong)
+    safetensors.save_file({name: value for name, value in stored.items() if "28.b" not in name}, few)
+    with pytest.raises(InputError, match=r"must hold features.0.weight of shape \(8, 3, 3, 3\), which is of"):
+        build_model(f"{NARROW},weights={wrong}", 3)
+    with pytest.raises(InputError, match=r"must hold features.28.bias of shape .*, which is missing"):
+        build_model(f"{NARROW},weights={few}", 3)
+    with pytest.raises(InputError, match=r"nowhere.safetensors: does not exist"):
+        build_model(f"{NARROW},weights=nowhere.safetensors", 3)
+    pickled = tmp_path / "vgg16.pth"
+    torch.save(stored, pickled)
+    with pytest.raises(InputError, match="is no safetensors file"):
+        build_model(f"{NARROW},weights={pickled}", 3)
 
 
-@pytest.mark.parametrize("width", [None, 25, 50])
-def test_a_model_that_is_written_and_read_predicts_the_same(tmp_path, width):
-    table = ClassTable.parse(FRUIT_CLASSES)
-    model = TrainedModel(build_model("small,width=0.25", 3), "small,width=0.25", table, width, {"step": 7})
-    model.save(tmp_path / "model.safetensors")
-    for path in (tmp_path, tmp_path / "model.safetensors"):
-        read = load_model(path)
-        assert read.classes == table
-        assert read.training == {"step": 7}
-        image = random_image()
-        np.testing.assert_array_equal(read.probabilities(image), model.probabilities(image))
+# --- files of trained models ------------------------------------------------------------------------------
 
 
-def test_damaged_and_foreign_files_are_rejected(tmp_path):
-    model = TrainedModel(build_model("small,width=0.25", 8), "small,width=0.25", ClassTable.organs())
+@pytest.mark.parametrize("model", ["small,width=0.3", NARROW])
+@pytest.mark.parametrize("width", [None, 32])
+def test_a_saved_model_predicts_the_same_bits(tmp_path, model, width):
+    original = trained(model, width=width)
+    original.save(tmp_path / "model.safetensors")
+    for path in (tmp_path, str(tmp_path / "model.safetensors")):
+        loaded = load_model(path)
+        assert (loaded.model, loaded.classes, loaded.width) == (model, FRUIT, width)
+        assert loaded.training == {"note": "of a test"}
+        for seed, shape in enumerate([(40, 56, 3), (31, 17, 3), (1, 1, 3)]):
+            colour = np.random.default_rng(seed).integers(0, 256, shape).astype(np.uint8)
+            expected = original.probabilities(colour)
+            assert expected.shape == (3, *shape[:2])
+            np.testing.assert_array_equal(loaded.probabilities(colour), expected)
+            np.testing.assert_allclose(expected.sum(axis=0), 1, rtol=1e-5)
+    # The same model has the same bytes.
+    first = (tmp_path / "model.safetensors").read_bytes()
+    load_model(tmp_path).save(tmp_path / "again.safetensors")
+    assert (tmp_path / "again.safetensors").read_bytes() == first
+
+
+def test_loading_leaves_the_generator_of_torch_as_it_is(tmp_path):
+    trained().save(tmp_path / "model.safetensors")
+    torch.manual_seed(3)
+    state = torch.get_rng_state()
+    load_model(tmp_path)
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+def test_weights_that_share_memory_are_saved(own_nets):
+    model = trained("own_nets:Tied")
+    model.save(own_nets / "model.safetensors")
+    colour = np.random.default_rng(0).integers(0, 256, (6, 5, 3)).astype(np.uint8)
+    np.testing.assert_array_equal(load_model(own_nets).probabilities(colour), model.probabilities(colour))
+
+
+def _described(**changes):
+    """A file of a model with a changed description."""
+    model = trained()
+    description = {**model.description(), **changes}
+    description = {key: value for key, value in description.items() if value is not Ellipsis}
+    return weights_as_bytes(model.module.state_dict(), description)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (lambda whole: b"", "cannot be read as safetensors"),
+        (lambda whole: whole[:5], "cannot be read as safetensors"),
+        (lambda whole: whole[:1000], "cannot be read as safetensors"),
+        (lambda whole: whole[:-1], "cannot be read as safetensors"),
+        (lambda whole: whole + b"x", "cannot be read as safetensors"),
+        (lambda whole: b"\xff" * 8 + whole[8:], "cannot be read as safetensors"),
+        (lambda whole: whole[:8] + b"?" + whole[9:], "cannot be read as safetensors"),
+        (lambda whole: whole.replace(b"F32", b"F99", 1), "cannot be read as safetensors"),
+        (lambda whole: b"no model at all" * 9, "cannot be read as safetensors"),
+        (lambda whole: safetensors.save({"a": torch.zeros(2)}), f"is not of the format '{FORMAT}'"),
+        (
+            lambda whole: safetensors.save({"a": torch.zeros(2)}, {"description": "{"}),
+            "cannot be read as safetensors",
+        ),
+        (
+            lambda whole: safetensors.save({"a": torch.zeros(2)}, {"description": "[]"}),
+            f"is not of the format '{FORMAT}'",
+        ),
+        (lambda whole: _described(format="pepperscene training 1"), f"is not of the format '{FORMAT}'"),
+        (lambda whole: _described(classes=...), "lacks the description of its model"),
+        (lambda whole: _described(model=3), "lacks the description of its model"),
+        (lambda whole: _described(classes="apple,leaf"), "classes: 'apple' is none of"),
+        (lambda whole: _described(model="other_nets:half"), "model: other_nets cannot be imported"),
+        (lambda whole: _described(classes="leaf,stem"), "holds weights of another model"),
+        (lambda whole: _described(model="small"), "holds weights of another model"),
+        (lambda whole: _described(model=NARROW), "holds weights of another model"),
+    ],
+)
+def test_rejects_damaged_and_foreign_files_in_one_sentence(tmp_path, content, message):
     file = tmp_path / "model.safetensors"
-    model.save(file)
-    content = file.read_bytes()
+    trained().save(file)
+    file.write_bytes(content(file.read_bytes()))
+    with pytest.raises(InputError) as caught:
+        load_model(tmp_path)
+    assert str(caught.value).startswith(f"{file}: ")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not isinstance(caught.value, ArgumentError)
 
-    def rejects(message, changed):
-        file.write_bytes(changed)
-        with pytest.raises(InputError, match=message):
-            load_model(file)
 
-    rejects("cannot be read as safetensors", content[:-100])
-    rejects("cannot be read as safetensors", b"")
-    rejects("holds weights of another model", content.replace(b"width=0.25", b"width=0.50"))
-    rejects("is not of the format", content.replace(FORMAT.encode(), FORMAT.upper().encode()))
-    # Nothing in a file is executed: a pickle, as `torch.save` writes, is no safetensors file.
-    rejects("cannot be read as safetensors", pickle.dumps({"weights": 1}))
-    with pytest.raises(InputError, match="does not exist; `pepperscene train` writes it"):
-        load_model(tmp_path / "none")
-    file.write_bytes(content)
-    assert read_weights(file, FORMAT)[1]["classes"].startswith("background,leaf")
+def test_rejects_a_folder_without_a_model(tmp_path):
+    for path in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(InputError, match="does not exist; `pepperscene train` writes it"):
+            load_model(path)
+
+
+class Malicious:
+    """Writes a file when it is unpickled."""
+
+    def __init__(self, file):
+        self.file = str(file)
+
+    def __reduce__(self):
+        return open, (self.file, "w")
+
+
+def test_no_pickle_is_read(tmp_path):
+    file, trap = tmp_path / "model.safetensors", tmp_path / "trap"
+    for write in (
+        lambda: torch.save({"a": Malicious(trap)}, file),
+        lambda: torch.save({"a": Malicious(trap)}, file, _use_new_zipfile_serialization=False),
+        lambda: file.write_bytes(pickle.dumps(Malicious(trap))),
+    ):
+        write()
+        with pytest.raises(InputError, match="cannot be read as safetensors"):
+            load_model(tmp_path)
+        result = CliRunner().invoke(app, ["predict", str(file), str(tmp_path), "--out", str(tmp_path / "o")])
+        assert result.exit_code == EXIT_BAD_INPUT
+        assert not trap.exists()
+
+
+def test_a_file_states_what_it_holds(tmp_path):
+    trained().save(tmp_path / "model.safetensors")
+    content = (tmp_path / "model.safetensors").read_bytes()
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    description = json.loads(header["__metadata__"]["description"])
+    assert description["format"] == FORMAT
+    assert description["model"] == "small,width=0.3"
+    assert ClassTable.parse(description["classes"]) == FRUIT

@@ -1,100 +1,180 @@
-"""Wrong input of the command `train`: one sentence, exit code 2, and nothing is written."""
+"""The command `train`: what it prints, and wrong input."""
 
 from __future__ import annotations
 
-import pytest
-from PIL import Image
-from shapes import shape_images, write_shapes
-from typer.testing import CliRunner
+import signal
+import threading
 
-pytest.importorskip("torch")
+import numpy as np
+import pytest
+from painted_bands import CLASSES, write_bands
+from PIL import Image
+from typer.testing import CliRunner
 
 from pepperscene.cli import app
 from pepperscene.errors import EXIT_BAD_INPUT
+from pepperscene.learning.class_table import ClassTable
 
-QUICK = (
-    "--labels",
-    "published",
-    "--model",
-    "small,width=0.25",
-    "--steps",
-    "2",
-    "--batch",
-    "2",
-    "--size",
-    "32x32",
-)
+torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
+pytest.importorskip("safetensors", reason="the extra `learn` installs safetensors")
+
+from pepperscene.learning.models import load_model  # noqa: E402
+
+OPTIONS = (
+    "--model", "small,width=0.3", "--steps", "2", "--batch", "2", "--size", "48x32", "--width", "0",
+    "--validate", "1",
+)  # fmt: skip
 
 
-@pytest.fixture
-def images(tmp_path):
-    return write_shapes(tmp_path / "images", 3)
+@pytest.fixture(scope="module")
+def bands(tmp_path_factory):
+    return write_bands(tmp_path_factory.mktemp("train") / "bands", 3)
 
 
 @pytest.fixture
 def rejects(tmp_path):
-    """Function that runs an invalid command line and checks its error and that nothing was written."""
-    out = tmp_path / "model"
+    """Function that runs an invalid command line and checks its error: one line with a message."""
 
-    def check(message, *words):
-        result = CliRunner().invoke(app, ["train", "--out", str(out), *(str(word) for word in words)])
+    def check(message, *arguments):
+        out = tmp_path / "out"
+        command = ["train", *map(str, arguments), "--out", str(out)]
+        result = CliRunner().invoke(app, command)
         assert result.exit_code == EXIT_BAD_INPUT, result.output
         assert result.stdout == ""
-        lines = [line for line in result.stderr.splitlines() if not line.startswith("step ")]
-        assert len(lines) == 1
-        assert lines[0].startswith("error: ")
-        assert message in lines[0]
+        assert result.stderr.startswith("error: ")
+        assert result.stderr.count("\n") == 1
+        assert message in result.stderr
         assert not out.exists()
 
     return check
 
 
-def test_train_writes_a_model(images, tmp_path):
-    words = ["train", str(images), "--out", str(tmp_path / "model"), *QUICK, "--validation", str(images)]
-    result = CliRunner().invoke(app, words)
+def test_trains_evaluates_and_predicts(bands, tmp_path):
+    out, run = tmp_path / "model", CliRunner().invoke
+    command = ["train", str(bands), "--validation", str(bands), "--out", str(out), "--classes", CLASSES]
+    result = run(app, [*command, *OPTIONS])
     assert result.exit_code == 0, result.output
-    assert "step 2 of 2: loss" in result.stderr
-    assert result.stdout.startswith("trained, step ")
-    assert (tmp_path / "model" / "model.safetensors").is_file()
-    result = CliRunner().invoke(
-        app, ["evaluate", str(tmp_path / "model"), str(images), "--labels", "published"]
-    )
+    model = load_model(out)
+    quality = f"mean IoU {model.training['validation_mean_iou']:.3f} of the validation"
+    assert result.stdout == f"trained, step {model.training['step']}, {quality}: {out}\n"
+    lines = result.stderr.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["step 1 of 2", "step 2 of 2"]
+    assert all("mean IoU" in line and "images/s" in line for line in lines)
+    assert model.classes == ClassTable.parse(CLASSES)
+    assert (model.model, model.width) == ("small,width=0.3", None)
+
+    result = run(app, ["evaluate", str(out), str(bands)])
     assert result.exit_code == 0, result.output
-    assert "3 of 3 images" in result.stdout
+    assert "IoU: bands, 3 of 3 images" in result.stdout
+    result = run(app, ["predict", str(out), str(bands), "--out", str(tmp_path / "predicted")])
+    assert result.exit_code == 0, result.output
+    assert len(list((tmp_path / "predicted" / "class").iterdir())) == 3
+
+    # A second training starts from the first one.
+    command = ["train", str(bands), "--out", str(tmp_path / "next"), "--start", str(out)]
+    result = run(app, [*command, *OPTIONS[2:]])
+    assert result.exit_code == 0, result.output
+    assert load_model(tmp_path / "next").classes == model.classes
 
 
-def test_sets_that_cannot_be_used(rejects, images, tmp_path):
+def test_rejects_wrong_arguments(rejects, bands, tmp_path):
+    nothing = tmp_path / "nothing"
+    rejects("--model: cannot be combined with --start", bands, "--model", "small", "--start", nothing)
+    rejects("nothing: does not exist", bands, *OPTIONS[2:], "--start", nothing)
+    rejects("--size: must be width and height in pixels, such as 256x192, not 256", bands, "--size", "256")
+    rejects("--size: must be width and height in pixels", bands, "--size", "-4x32")
+    rejects("--size: must be two numbers of pixels, 32 or more", bands, "--size", "8x64")
+    rejects("--learning-rate: must be above 0, not -1.0", bands, "--learning-rate", "-1")
+    rejects("--precision: must be auto, float32, bfloat16", bands, "--precision", "half")
+    rejects("--classes: 'apple' is none of background", bands, "--classes", "apple,leaf")
+    rejects("--model: must be small, deeplab_vgg16 or module:factory", bands, "--model", "unet")
+    rejects("--device: tpu9 cannot be used", bands, *OPTIONS, "--device", "tpu9")
+    rejects("--half: applies only to the published data set", bands, "--half", "empirical")
+
+
+def test_rejects_sets_that_cannot_be_read(rejects, bands, tmp_path):
+    rejects("nowhere: must be a folder of images", tmp_path / "nowhere", *OPTIONS)
     (tmp_path / "empty").mkdir()
-    rejects("holds no images", tmp_path / "empty", *QUICK)
-    rejects("none: must be a folder of images", tmp_path / "none", *QUICK)
-    plain = tmp_path / "plain"
-    plain.mkdir()
-    for image in shape_images(2):
-        Image.fromarray(image.colour).save(plain / f"{image.name}.png")
-    rejects("has no pixel of the classes", plain, *QUICK)
-    rejects("has no pixel of the classes wire,cut", images, *QUICK, "--classes", "wire,cut")
-    rejects("has no colour image or no mask", images, *QUICK, "--validation", plain)
+    rejects("empty: ", tmp_path / "empty", *OPTIONS)
+    rejects("empty: ", bands, *OPTIONS, "--validation", tmp_path / "empty")
+    # No table of labels: values have no meaning, or some are undefined.
+    unknown = write_bands(tmp_path / "unknown", 2)
+    (unknown / "classes.toml").unlink()
+    rejects("has values", unknown, *OPTIONS)
+    (unknown / "classes.toml").write_text('0 = "background"\n1 = "leaf"\n')
+    rejects("image0_mask.png", unknown, *OPTIONS)
+    rejects("image0_mask.png", bands, unknown, *OPTIONS)
+    # A mask in colours, which the table of the folder does not define.
+    palette = write_bands(tmp_path / "palette", 2)
+    colours = np.full((64, 96, 3), (40, 200, 10), np.uint8)
+    Image.fromarray(colours).save(palette / "image1_mask.png")
+    rejects("image1_mask.png", bands, palette, *OPTIONS)
 
 
-def test_masks_of_another_palette(rejects, images, tmp_path):
-    other = write_shapes(tmp_path / "other", 2)
-    mask = next(other.glob("*_mask.png"))
-    Image.fromarray(shape_images(1)[0].classes + 40).save(mask)
-    rejects(f"{mask}: has the values 40", images, other, *QUICK, "--classes", "background,leaf,pepper,stem")
+@pytest.mark.parametrize("workers", ["0", "1"])
+def test_rejects_damaged_images(rejects, bands, tmp_path, workers):
+    broken = write_bands(tmp_path / "broken", 2)
+    content = (broken / "image1.png").read_bytes()
+    (broken / "image1.png").write_bytes(content[: len(content) // 2])
+    rejects("image1.png: cannot be read as an image", broken, *OPTIONS, "--workers", workers)
+    (broken / "image1.png").write_bytes(content)
+    content = (broken / "image1_mask.png").read_bytes()
+    (broken / "image1_mask.png").write_bytes(content[: len(content) // 2])
+    rejects("image1_mask.png: cannot be read as an image", broken, *OPTIONS, "--workers", workers)
+    rejects("image1_mask.png: cannot be read as an image", bands, *OPTIONS, "--validation", broken)
 
 
-def test_truncated_images(rejects, images):
-    file = images / "shapes1.png"
-    file.write_bytes(file.read_bytes()[:200])
-    rejects(str(file), images, *QUICK)
+def test_rejects_sets_without_labels_of_the_classes(rejects, bands, tmp_path):
+    without = write_bands(tmp_path / "without", 2, masks=False)
+    rejects("without: has no pixel of the classes background,leaf", without, *OPTIONS)
+    rejects("without: has no pixel of the classes", bands, *OPTIONS, "--validation", without)
+    rejects("bands: has no pixel of the classes wire,cut", bands, *OPTIONS, "--classes", "wire,cut")
+    (without / "image0_mask.png").write_bytes((bands / "image0_mask.png").read_bytes())
+    rejects("without: image1 has no mask, which training needs", without, *OPTIONS)
 
 
-def test_options_that_are_not_allowed(rejects, images):
-    rejects("--model: cannot be combined with --start", images, *QUICK, "--start", "model")
-    rejects("--size: must be width and height in pixels", images, "--size", "64")
-    rejects("--learning-rate: must be above 0", images, "--learning-rate", "0")
-    rejects("--classes: 'fruit' is none of", images, "--classes", "fruit,leaf")
-    rejects("--model: must be small, deeplab_vgg16 or module:factory", images, "--model", "huge")
-    rejects(
-        "does not exist; `pepperscene train` writes it", images, "--start", "none", "--labels", "published"
+def test_rejects_a_start_whose_classes_do_not_fit(rejects, bands, tmp_path):
+    fruit = ("--classes", "other=background+leaf+stem,fruit=pepper")
+    start = tmp_path / "start"
+    result = CliRunner().invoke(app, ["train", str(bands), "--out", str(start), *fruit, *OPTIONS])
+    assert result.exit_code == 0, result.output
+    options = (*OPTIONS[2:], "--start", start, "--classes", "leaf,stem,pepper")
+    rejects("the model's class other is only partly in leaf", bands, *options)
+    (start / "model.safetensors").write_bytes((start / "model.safetensors").read_bytes()[:-5])
+    rejects("model.safetensors: cannot be read as safetensors", bands, *OPTIONS[2:], "--start", start)
+
+
+def test_rejects_a_folder_that_cannot_be_written(bands, tmp_path):
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file", tmp_path / "file" / "model"):
+        result = CliRunner().invoke(app, ["train", str(bands), "--out", str(out), *OPTIONS])
+        assert result.exit_code == EXIT_BAD_INPUT, result.output
+        assert result.stderr.startswith(f"error: {out}: ")
+        assert result.stderr.count("\n") == 1
+
+
+def test_an_interruption_keeps_the_last_checkpoint(bands, tmp_path):
+    """Ctrl-C gives one line, which says how to go on; the resumed training ends as an undisturbed one."""
+    out, command = tmp_path / "model", ["train", str(bands), *OPTIONS, "--steps", "400"]
+    stop = threading.Event()
+
+    def interrupt():
+        while not stop.is_set():
+            if (out / "state.safetensors").is_file():
+                signal.raise_signal(signal.SIGINT)
+                return
+            stop.wait(0.01)
+
+    watcher = threading.Thread(target=interrupt)
+    watcher.start()
+    try:
+        result = CliRunner().invoke(app, [*command, "--out", str(out)])
+    finally:
+        stop.set()
+        watcher.join()
+    assert result.exit_code == 128 + signal.SIGINT, result.output
+    assert result.stderr.splitlines()[-1] == (
+        "interrupted; the last checkpoint is kept; run the same command with --resume to go on"
     )
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]
+    assert load_model(out).training["step"] < 400

@@ -1,85 +1,172 @@
-"""The loss, also for labels that are coarser than the network's classes."""
+"""The loss of a training, against its definition in float64."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from toy_models import image_set
+from toy_models import image_set, random_masks
 
-torch = pytest.importorskip("torch")
+from pepperscene.classes import IGNORE_CLASS
+from pepperscene.errors import InputError
+from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 
-from pepperscene.errors import InputError  # noqa: E402
-from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable  # noqa: E402
+torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
+
 from pepperscene.learning.training.loss import SegmentationLoss, class_weights  # noqa: E402
 
-ORGANS, FRUIT = ClassTable.organs(), ClassTable.parse(FRUIT_CLASSES)
+ORGANS = ClassTable.organs()
+FRUIT = ClassTable.parse(FRUIT_CLASSES)
+DROPPED = ClassTable.parse("plant=leaf+stem,pepper")
+TABLES = pytest.mark.parametrize("labels", [ORGANS, FRUIT, DROPPED], ids=["plain", "merged", "dropped"])
 
 
-def random_batch(classes, seed=0):
+def batch(labels, seed=0, shape=(2, 3, 4), void=0.3):
+    """Logits of the eight classes, labels of a table, and weights."""
     rng = np.random.default_rng(seed)
-    logits = torch.tensor(rng.normal(0, 2, (2, 8, 5, 6)), dtype=torch.float32)
-    labels = rng.integers(0, classes, (2, 5, 6))
-    labels[rng.random(labels.shape) < 0.2] = 255
-    return logits, torch.tensor(labels)
+    logits = rng.normal(0, 2, (shape[0], len(ORGANS), *shape[1:])).astype(np.float32)
+    truth = rng.integers(0, len(labels), shape)
+    truth[rng.random(shape) < void] = IGNORE_CLASS
+    return logits, truth, rng.uniform(0.2, 3, len(labels))
 
 
-@pytest.mark.parametrize("table", [ORGANS, FRUIT, ClassTable.parse("pepper,peduncle")], ids=str)
-def test_the_loss_is_minus_the_logarithm_of_summed_probabilities(table):
-    weights = np.linspace(1, 2, len(table))
-    logits, labels = random_batch(len(table))
-    # By hand, in double precision: classes that the labels drop have no probability.
-    exponentials = np.exp(logits.numpy().astype(float))
-    merged = np.einsum("ck,nkhw->nchw", table.merging(ORGANS), exponentials)
-    merged /= merged.sum(axis=1, keepdims=True)
-    total = weight_sum = 0.0
-    for n, y, x in zip(*np.nonzero(labels.numpy() != 255), strict=True):
-        label = int(labels[n, y, x])
-        total -= weights[label] * np.log(merged[n, label, y, x])
-        weight_sum += weights[label]
-    loss = SegmentationLoss(table, ORGANS, weights)(logits, labels)
-    assert float(loss) == pytest.approx(total / weight_sum, rel=1e-5)
+def defined_loss(labels, logits, truth, weights):
+    """Weighted mean of -log of the summed probabilities of a label's classes, among those of all labels."""
+    total = weight = 0.0
+    for n, row, column in np.ndindex(truth.shape):
+        index = truth[n, row, column]
+        if index == IGNORE_CLASS:
+            continue
+        probabilities = np.exp(logits[n, :, row, column].astype(np.float64))
+        sums = [sum(probabilities[list(ids)]) for ids in labels.members]
+        total -= weights[index] * np.log(sums[index] / sum(sums))
+        weight += weights[index]
+    return total / weight
 
 
-def test_gradients_agree_with_finite_differences_and_void_pixels_have_none():
-    loss = SegmentationLoss(FRUIT, ORGANS, np.array([1.0, 3.0, 5.0]))
-    logits, labels = random_batch(3)
-    logits.requires_grad_()
-    loss(logits, labels).backward()
-    void = (labels == 255)[:, None].expand_as(logits)
-    assert not logits.grad[void].any()
-    step = 1e-2
-    for place in [(0, 0, 1, 2), (1, 2, 3, 4), (0, 3, 4, 5), (1, 7, 0, 0)]:
-        with torch.no_grad():
-            moved = [logits.clone(), logits.clone()]
-            moved[0][place] -= step
-            moved[1][place] += step
-            difference = (loss(moved[1], labels) - loss(moved[0], labels)) / (2 * step)
-        assert float(logits.grad[place]) == pytest.approx(float(difference), abs=3e-5)
+def loss_of(labels, logits, truth, weights):
+    module = SegmentationLoss(labels, ORGANS, weights)
+    return module(torch.as_tensor(logits), torch.as_tensor(truth))
 
 
-def test_a_batch_of_void_pixels_has_no_loss():
-    logits, labels = random_batch(3)
-    logits.requires_grad_()
-    loss = SegmentationLoss(FRUIT, ORGANS, np.ones(3))(logits, torch.full_like(labels, 255))
+@TABLES
+@pytest.mark.parametrize("seed", range(5))
+def test_loss_is_minus_the_logarithm_of_summed_probabilities(labels, seed):
+    logits, truth, weights = batch(labels, seed)
+    expected = defined_loss(labels, logits, truth, weights)
+    assert float(loss_of(labels, logits, truth, weights)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_loss_of_all_probability_in_a_merged_class_is_zero():
+    """A network may keep apart what labels do not: any distribution within the class is right."""
+    logits, truth, weights = batch(FRUIT, void=0)
+    truth[:] = 0
+    logits[:, [2, 3]] = -60
+    assert float(loss_of(FRUIT, logits, truth, weights)) == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("shift", [-500.0, 500.0])
+def test_loss_does_not_overflow(shift):
+    logits, truth, weights = batch(FRUIT)
+    expected = defined_loss(FRUIT, logits, truth, weights)
+    assert float(loss_of(FRUIT, logits + shift, truth, weights)) == pytest.approx(expected, rel=1e-3)
+
+
+@TABLES
+def test_gradients_are_those_of_finite_differences(labels):
+    logits, truth, weights = batch(labels, seed=7)
+    tensor = torch.tensor(logits, requires_grad=True)
+    loss_of(labels, tensor, truth, weights).backward()
+    gradient, step = tensor.grad.numpy(), 1e-4
+    expected = np.zeros(logits.shape)
+    for index in np.ndindex(logits.shape):
+        values = []
+        for sign in (-1, 1):
+            moved = logits.astype(np.float64)
+            moved[index] += sign * step
+            values.append(defined_loss(labels, moved, truth, weights))
+        expected[index] = (values[1] - values[0]) / (2 * step)
+    np.testing.assert_allclose(gradient, expected, atol=1e-6)
+    assert np.abs(expected).max() > 0.01
+
+
+@TABLES
+def test_void_pixels_have_no_gradient_and_do_not_change_the_loss(labels):
+    logits, truth, weights = batch(labels, seed=3)
+    void = truth == IGNORE_CLASS
+    assert void.any()
+    tensor = torch.tensor(logits, requires_grad=True)
+    loss = loss_of(labels, tensor, truth, weights)
+    loss.backward()
+    gradient = np.moveaxis(tensor.grad.numpy(), 1, -1)
+    assert not gradient[void].any()
+    assert np.abs(gradient[~void]).max(axis=-1).all()
+    changed = np.moveaxis(logits.copy(), 1, -1)
+    changed[void] = 99
+    assert float(loss_of(labels, np.moveaxis(changed, -1, 1).copy(), truth, weights)) == float(loss.detach())
+
+
+def test_classes_that_labels_drop_have_no_gradient():
+    logits, truth, weights = batch(DROPPED)
+    tensor = torch.tensor(logits, requires_grad=True)
+    loss_of(DROPPED, tensor, truth, weights).backward()
+    kept = sorted(set().union(*DROPPED.members))
+    assert tensor.grad[:, kept].abs().amax() > 0
+    assert not tensor.grad[:, [k for k in range(len(ORGANS)) if k not in kept]].any()
+
+
+@TABLES
+def test_a_batch_of_void_alone_has_a_loss_and_gradients_of_zero(labels):
+    logits, truth, weights = batch(labels)
+    truth[:] = IGNORE_CLASS
+    tensor = torch.tensor(logits, requires_grad=True)
+    loss = loss_of(labels, tensor, truth, weights)
     loss.backward()
     assert float(loss.detach()) == 0
-    assert not logits.grad.any()
+    assert not tensor.grad.any()
 
 
-@pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
-def test_weights_are_powers_of_the_frequency(balance):
-    masks = [np.repeat([0, 0, 0, 1, 1, 2], 10).reshape(6, 10), np.full((6, 10), 255)]
-    table = ClassTable.parse("background,leaf,pepper")
-    weights = class_weights([image_set(*masks)], table, balance)
-    frequencies = np.array([1 / 2, 1 / 3, 1 / 6])
-    assert (weights * frequencies).sum() == pytest.approx(1)
+def test_logits_of_half_precision_are_computed_in_single_precision():
+    logits, truth, weights = batch(FRUIT)
+    rounded = torch.tensor(logits).bfloat16()
+    loss = loss_of(FRUIT, rounded, truth, weights)
+    assert loss.dtype == torch.float32
+    expected = defined_loss(FRUIT, rounded.float().numpy(), truth, weights)
+    assert float(loss) == pytest.approx(expected, rel=1e-5)
+
+
+# --- weights of classes -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("balance", [0, 0.5, 1])
+@TABLES
+def test_weights_are_inverse_frequencies_with_an_exponent_and_one_on_average(labels, balance):
+    masks = random_masks(6, seed=2)
+    indices = np.concatenate([labels.indices(mask).ravel() for mask in masks])
+    frequencies = np.bincount(indices, minlength=256)[: len(labels)].astype(float)
+    frequencies /= frequencies.sum()
+    weights = class_weights([image_set(*masks[:4]), image_set(*masks[4:])], labels, balance)
     np.testing.assert_allclose(weights / weights[0], (frequencies / frequencies[0]) ** -balance)
+    assert (weights * frequencies).sum() == pytest.approx(1)
+    # On average over the labelled pixels, so that the learning rate has the same meaning.
+    assert weights[indices[indices != IGNORE_CLASS]].mean() == pytest.approx(1)
 
 
-def test_weights_of_rare_classes_are_limited_and_no_overlap_is_an_error():
-    mask = np.zeros((100, 100))
-    mask[0, 0] = 2
-    weights = class_weights([image_set(mask)], ClassTable.parse("background,leaf,pepper"), 1.0)
-    assert weights[1] / weights[0] == weights[2] / weights[0] == pytest.approx(30)
-    with pytest.raises(InputError, match="has no pixel of the classes stem,wire"):
-        class_weights([image_set(mask)], ClassTable.parse("stem,wire"), 0.5)
+def test_weights_of_rare_and_absent_classes_are_limited():
+    mask = np.zeros((200, 200), np.uint8)
+    mask[0, 0] = 1
+    weights = class_weights([image_set(mask)], ORGANS, 1.0)
+    np.testing.assert_allclose(weights[1:] / weights[0], 30)
+    assert np.isfinite(weights).all()
+
+
+def test_images_without_masks_are_not_counted():
+    masks = random_masks(3)
+    expected = class_weights([image_set(*masks)], ORGANS, 1.0)
+    np.testing.assert_array_equal(class_weights([image_set(None, *masks, None)], ORGANS, 1.0), expected)
+
+
+def test_rejects_sets_without_pixels_of_the_classes():
+    peppers = ClassTable.parse("pepper,peduncle")
+    sets = [image_set(None, name="a"), image_set(np.zeros((3, 4)), np.full((2, 2), 255), name="b")]
+    with pytest.raises(InputError, match="a, b: has no pixel of the classes pepper,peduncle"):
+        class_weights(sets, peppers, 0.5)

@@ -1,9 +1,11 @@
-"""A training that was killed and resumed ends with the same bytes as one that was not."""
+"""Trainings that are killed and resumed."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,119 +14,203 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import write_shapes
+from painted_bands import CLASSES, write_bands
+from PIL import Image
+from typer.testing import CliRunner
 
-pytest.importorskip("torch")
-
+import pepperscene
+from pepperscene.cli import app
 from pepperscene.errors import EXIT_BAD_INPUT
-from pepperscene.learning.training.checkpoint import STATE_FILE
-from pepperscene.learning.training.loop import LOG_FILE
 
-FILES = ("model.safetensors", STATE_FILE, LOG_FILE)
-STEPS = 40
-# Sums depend on the number of threads, which is the same here whatever runs the test.
-ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
+torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
+safetensors = pytest.importorskip("safetensors.torch", reason="the extra `learn` installs safetensors")
+
+FILES = ("model.safetensors", "state.safetensors", "training.jsonl")
+OPTIONS = (
+    "--classes", CLASSES, "--model", "deeplab_vgg16,width=0.03", "--steps", "60", "--validate", "3",
+    "--batch", "2", "--size", "48x32", "--width", "0", "--learning-rate", "1e-3",
+)  # fmt: skip
+"""A network with dropout."""
+SHORT = (*OPTIONS, "--steps", "4", "--validate", "2")
 
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
+    """Folders of training and validation."""
     folder = tmp_path_factory.mktemp("sets")
-    return write_shapes(folder / "train", 6), write_shapes(folder / "validation", 2, seed=1)
+    return write_bands(folder / "some", 5), write_bands(folder / "others", 2, seed=3)
 
 
-def command(sets, out, *options):
-    words = [
-        sys.executable, "-m", "pepperscene", "train", str(sets[0]), "--out", str(out),
-        "--validation", str(sets[1]), "--labels", "published", "--model", "deeplab_vgg16,width=0.05",
-        "--steps", str(STEPS), "--batch", "2", "--size", "48x32", "--width", "0", "--validate", "2",
-        "--learning-rate", "0.001", *options,
-    ]  # fmt: skip
+def arguments(sets, out, *options):
+    return ["train", str(sets[0]), "--validation", str(sets[1]), "--out", str(out), *options]
+
+
+def invoke(sets, out, *options):
+    return CliRunner().invoke(app, arguments(sets, out, *options))
+
+
+def start_process(sets, out, *options):
+    # One thread, as the undisturbed run: the order of sums depends on their number.
+    environment = {
+        **os.environ, "PYTHONPATH": str(Path(pepperscene.__file__).parents[1]), "OMP_NUM_THREADS": "1",
+    }  # fmt: skip
     return subprocess.Popen(
-        words,
-        env=ENVIRONMENT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+        [sys.executable, "-m", "pepperscene", *arguments(sets, out, *options)],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
 
 
 def finish(process):
-    output, errors = process.communicate(timeout=600)
-    return process.returncode, output, errors
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    return output
 
 
-def content(folder):
-    return {name: (folder / name).read_bytes() for name in FILES}
+def last_step(out):
+    """Step of the last line of the log; 0 if there is none."""
+    log = out / "training.jsonl"
+    lines = log.read_text().splitlines() if log.is_file() else []
+    return json.loads(lines[-1])["step"] if lines else 0
 
 
-def steps_in(folder: Path) -> int:
-    try:
-        return len((folder / LOG_FILE).read_text().splitlines())
-    except OSError:
-        return 0
+def digests(folder):
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
+
+
+def kill_after(process, out, step, delay_s):
+    """Kill a training some time after a step is logged; returns whether it was still running."""
+    end = time.monotonic() + 240
+    while last_step(out) < step and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.005)
+    time.sleep(delay_s)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    return process.returncode == -signal.SIGKILL
+
+
+def test_a_training_that_is_killed_three_times_ends_with_the_same_bytes(sets, tmp_path):
+    finish(start_process(sets, tmp_path / "undisturbed", *OPTIONS))
+    rng, out = np.random.default_rng(8), tmp_path / "killed"
+    for step in (3, 18, 36):
+        process = start_process(sets, out, *OPTIONS, "--resume")
+        assert kill_after(process, out, step, float(rng.uniform(0, 0.3)))
+        assert step <= last_step(out) < 60
+    assert "trained, step" in finish(start_process(sets, out, *OPTIONS, "--resume"))
+    assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
+    assert digests(out) == digests(tmp_path / "undisturbed")
 
 
 @pytest.fixture(scope="module")
-def undisturbed(sets, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("models") / "undisturbed"
-    code, output, errors = finish(command(sets, folder))
-    assert code == 0, errors
-    assert output.startswith("trained, step ")
-    return folder
+def done(sets, tmp_path_factory):
+    """Folder of a finished training."""
+    out = tmp_path_factory.mktemp("done") / "model"
+    result = invoke(sets, out, *SHORT)
+    assert result.exit_code == 0, result.output
+    return out
 
 
-def test_three_kills_at_random_change_nothing(sets, undisturbed, tmp_path):
-    rng, out = np.random.default_rng(7), tmp_path / "killed"
-    for _ in range(3):
-        process, lines = command(sets, out, "--resume"), steps_in(out)
-        # Wait for another checkpoint, then for a random time, so that kills fall anywhere between two.
-        while steps_in(out) == lines and process.poll() is None:
-            time.sleep(0.005)
-        time.sleep(rng.uniform(0, 0.15))
-        os.killpg(process.pid, signal.SIGKILL)
-        assert finish(process)[0] == -signal.SIGKILL, "the training ended before it was killed"
-    code, _, errors = finish(command(sets, out, "--resume"))
-    assert code == 0, errors
-    assert content(out) == content(undisturbed)
-    assert steps_in(out) == STEPS // 2
+@pytest.fixture
+def copy(done, tmp_path):
+    return Path(shutil.copytree(done, tmp_path / "copy"))
 
 
-def test_a_finished_training_is_not_taken_up_again(sets, undisturbed):
-    before = content(undisturbed)
-    code, output, errors = finish(command(sets, undisturbed, "--resume"))
-    assert code == 0, errors
-    assert output.startswith("trained, step ")
-    assert content(undisturbed) == before
+def rejects(message, sets, out, *options):
+    before = digests(out)
+    result = invoke(sets, out, *options)
+    assert result.exit_code == EXIT_BAD_INPUT, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert message in result.stderr
+    assert digests(out) == before
+
+
+def test_every_moment_at_a_checkpoint_can_be_resumed(sets, done, copy):
+    """Files appear in the order network, log, state; a kill leaves the first one or two of them."""
+    complete = digests(done)
+    for remaining in ((), FILES[:1], (FILES[0], FILES[2])):
+        for name in set(FILES) - set(remaining):
+            (copy / name).unlink(missing_ok=True)
+        (copy / ".model.safetensors.some-host.1.00ff.tmp").write_bytes(b"half of a net")
+        os.utime(copy / ".model.safetensors.some-host.1.00ff.tmp", (0, 0))
+        result = invoke(sets, copy, *SHORT, "--resume")
+        assert result.exit_code == 0, result.output
+        assert digests(copy) == complete
+        shutil.copytree(done, copy, dirs_exist_ok=True)
+    # A line that was not written to its end.
+    with (copy / "training.jsonl").open("a") as log:
+        log.write('{"loss": 1.0, "mean')
+    assert invoke(sets, copy, *SHORT, "--resume").exit_code == 0
+    assert digests(copy) == complete
+
+
+def test_a_finished_training_stays_as_it_is(sets, copy, done):
+    result = invoke(sets, copy, *SHORT, "--resume")
+    assert result.exit_code == 0, result.output
+    assert digests(copy) == digests(done)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("changes", "message"),
     [
-        ((), "holds a training; resume it with --resume, or choose another folder"),
-        (("--resume", "--seed", "5"), "holds another training: options"),
-        (("--resume", "--classes", "background,leaf,pepper,stem"), "holds another training: options"),
+        (("--steps", "5"), "options.steps is 4 there and 5 here"),
+        (("--learning-rate", "0.002"), "options.learning_rate is 0.001 there and 0.002 here"),
+        (("--seed", "1"), "options.seed is 0 there and 1 here"),
+        (("--size", "48x48"), "options.size is [32, 48] there and [48, 48] here"),
+        (("--model", "small,width=0.3"), "options.balance is 0.0 there and 0.5 here"),
+        (("--augmentation", "0"), "options.augmentation is 1.0 there and 0.0 here"),
     ],
 )
-def test_another_training_is_not_overwritten(sets, undisturbed, options, message):
-    before = content(undisturbed)
-    code, output, errors = finish(command(sets, undisturbed, *options))
-    assert (code, output) == (EXIT_BAD_INPUT, "")
-    assert errors.startswith("error: ")
-    assert message in errors
-    assert errors.count("\n") == 1
-    assert content(undisturbed) == before
+def test_other_options_are_named(sets, copy, changes, message):
+    rejects(f"state.safetensors: holds another training: {message}", sets, copy, *SHORT, *changes, "--resume")
 
 
-def test_a_damaged_state_is_an_error(sets, undisturbed, tmp_path):
-    for name, data in content(undisturbed).items():
-        (tmp_path / name).write_bytes(data[: len(data) // 2] if name == STATE_FILE else data)
-    code, _, errors = finish(command(sets, tmp_path, "--resume"))
-    assert code == EXIT_BAD_INPUT
-    assert "cannot be read as safetensors" in errors
+def test_other_sets_are_named(sets, copy, tmp_path):
+    resumed = (*SHORT, "--resume")
+    rejects("number of sets is 1 there and 2 here", sets, copy, *resumed, str(sets[0]))
+    more = Path(shutil.copytree(sets[0], tmp_path / "some"))
+    Image.new("RGB", (96, 64)).save(more / "image9.png")
+    rejects("sets.0.images is 5 there and 6 here", (more, sets[1]), copy, *resumed)
+    (more / "image3.png").unlink()
+    (more / "image3_mask.png").unlink()
+    rejects("sets.0.names_sha256 is", (more, sets[1]), copy, *resumed)
+    rejects("validation.0.images is 2 there and 5 here", (sets[0], sets[0]), copy, *resumed)
+    # Also where the state is missing because the training was killed at its first checkpoint.
+    (copy / "state.safetensors").unlink()
+    rejects("options.seed is 0 there and 1 here", sets, copy, *resumed, "--seed", "1")
 
 
-def test_log_lines_are_json(undisturbed):
-    entries = [json.loads(line) for line in (undisturbed / LOG_FILE).read_text().splitlines()]
-    assert [entry["step"] for entry in entries] == list(range(2, STEPS + 1, 2))
-    assert entries[-1]["loss"] < entries[0]["loss"]
+def test_other_versions_are_named(sets, copy, monkeypatch):
+    monkeypatch.setattr("pepperscene.learning.training.run.__version__", "0.0.1")
+    rejects("versions.pepperscene is '", sets, copy, *SHORT, "--resume")
+
+
+def test_a_folder_of_other_files_is_refused(sets, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    for options in ((), ("--resume",)):
+        rejects("out: is not empty and holds no training", sets, out, *SHORT, *options)
+
+
+def test_an_existing_training_is_not_overwritten(sets, copy):
+    rejects("holds a training; resume it with --resume, or choose another folder", sets, copy, *SHORT)
+    (copy / "state.safetensors").unlink()
+    rejects("holds a training; resume it with --resume", sets, copy, *SHORT)
+
+
+def test_damaged_states_are_refused(sets, copy):
+    state = copy / "state.safetensors"
+    content, resumed = state.read_bytes(), (*SHORT, "--resume")
+    state.write_bytes(content[:-100])
+    rejects("state.safetensors: cannot be read as safetensors", sets, copy, *resumed)
+    tensors = safetensors.load(content)
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])["__metadata__"]
+    second = next(name for name in tensors if name.startswith("second_moment."))
+    weight = next(name for name in tensors if name.startswith("model."))
+    for missing, message in ((second, f"lacks '{second}'"), (weight, "holds weights of another model")):
+        rest = {name: value for name, value in tensors.items() if name != missing}
+        state.write_bytes(safetensors.save(rest, header))
+        rejects(f"state.safetensors: {message}", sets, copy, *resumed)
+    shutil.copyfile(copy / "model.safetensors", state)
+    rejects("state.safetensors: is not of the format", sets, copy, *resumed)

@@ -61,7 +61,7 @@ def train(
         str | None,
         typer.Option(
             metavar="TEXT",
-            help="Classes of the labels (fruit=pepper,other=leaf+stem). Default: all eight.",
+            help="Classes of the labels (fruit=pepper,other=leaf+stem). Default: all eight, or --start's.",
         ),
     ] = None,
     steps: Annotated[int | None, typer.Option(metavar="N", help="Steps of the optimiser.")] = None,
@@ -103,13 +103,13 @@ def train(
     if model is not None and start is not None:
         raise InputError("--model", "cannot be combined with --start, which has a model")
     options = TrainingOptions(
-        model or DEFAULT_MODEL, classes, steps, batch, parse_size(size), width or None, learning_rate,
-        schedule, balance, augmentation, seed, validate, precision,
+        DEFAULT_MODEL if model is None else model, classes, steps, batch, parse_size(size), width or None,
+        learning_rate, schedule, balance, augmentation, seed, validate, precision,
     )  # fmt: skip
     options.completed()
     opened = open_image_sets([*sets, *(validation or [])], labels=labels, half=half)
     require_torch()
-    from pepperscene.learning.training.loop import train as train_model
+    from pepperscene.learning.training.run import train as train_model
 
     try:
         with training_progress() as on_progress:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from pepperscene.dataset import BuildProgress, BuildResult
-    from pepperscene.learning.training.loop import TrainingProgress
+    from pepperscene.learning.training.progress import TrainingProgress
 
 _EVERY_LINE: Final = 200  # chosen: up to so many frames, each is printed
 _INTERVAL_S: Final = 5.0  # chosen: seconds between lines for more frames

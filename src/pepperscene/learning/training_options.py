@@ -14,6 +14,7 @@ from pepperscene.learning.model_names import model_defaults
 SCHEDULES: Final = ("constant", "cosine")
 PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
+_SEEDS: Final = 2**32  # chosen: seeds times steps fit into the 64 bits of torch's generator
 _LEAST_SIDE: Final = 32  # chosen: two cells of the coarsest layer of the models
 
 
@@ -85,7 +86,7 @@ class TrainingOptions:
         _require("schedule", self.schedule, self.schedule in SCHEDULES, " or ".join(SCHEDULES))
         _require("balance", self.balance, 0 <= (self.balance or 0) <= 1, "0 to 1")
         _require("augmentation", self.augmentation, 0 <= self.augmentation <= 2, "0 to 2")
-        _require("seed", self.seed, self.seed >= 0, "0 or more")
+        _require("seed", self.seed, 0 <= self.seed < _SEEDS, f"0 to {_SEEDS - 1}")
         _require("precision", self.precision, self.precision in PRECISIONS, ", ".join(PRECISIONS))
 
     def as_record(self) -> dict[str, Any]:

@@ -13,7 +13,9 @@ from pepperscene.errors import InputError
 from pepperscene.learning.evaluation.evaluate import evaluate
 from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
 from pepperscene.learning.models.trained_model import TrainedModel, load_model
-from pepperscene.learning.training.loop import LOG_FILE, TrainingProgress, train
+from pepperscene.learning.training.loop import LOG_FILE
+from pepperscene.learning.training.progress import TrainingProgress
+from pepperscene.learning.training.run import train
 
 TRAININGS: Final = "trainings"
 TESTS: Final = "tests"

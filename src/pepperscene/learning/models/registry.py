@@ -31,10 +31,25 @@ def build_model(model: str, classes: int) -> nn.Module:
     from torch import nn
 
     name, *options = (part.strip() for part in model.split(","))
-    module = _find_factory(name)(classes, **_parse_options(model, options, name))
+    values = _parse_options(model, options, name)
+    try:
+        module = _find_factory(name)(classes, **values)
+    except (TypeError, ValueError, ArithmeticError) as error:
+        # A value of an option that the factory does not expect, such as text for a number.
+        raise ArgumentError("model", f"{model} cannot be made ({_one_line(error)})") from None
     if not isinstance(module, nn.Module):
         raise ArgumentError("model", f"{name} must return a torch.nn.Module, not {type(module).__name__}")
+    if not any(parameter.requires_grad for parameter in module.parameters()):
+        raise ArgumentError("model", f"{name} has no weights to train")
     return module
+
+
+def without_initial_weights(model: str) -> str:
+    """The text of a model without the file of its initial weights, which a trained model does not need."""
+    name, *options = (part.strip() for part in model.split(","))
+    if name in MODELS:
+        options = [option for option in options if option.partition("=")[0].strip() != "weights"]
+    return ",".join((name, *options))
 
 
 def _find_factory(name: str) -> Callable[..., Any]:
@@ -47,10 +62,11 @@ def _find_factory(name: str) -> Callable[..., Any]:
         sys.path.append("")
     try:
         factory = getattr(importlib.import_module(module), attribute)
-    except ImportError as error:
-        raise ArgumentError("model", f"{module} cannot be imported ({error})") from None
-    except AttributeError:
-        raise ArgumentError("model", f"{module} has no {attribute}") from None
+    except Exception as error:
+        # The module is the user's and may raise anything.
+        if isinstance(error, AttributeError) and module in sys.modules:
+            raise ArgumentError("model", f"{module} has no {attribute}") from None
+        raise ArgumentError("model", f"{module} cannot be imported ({_one_line(error)})") from None
     if not callable(factory):
         raise ArgumentError("model", f"{path} is not callable")
     return factory
@@ -66,13 +82,23 @@ def _parse_options(model: str, options: list[str], name: str) -> dict[str, Any]:
                 "model", f"options are key=value, each once, as in small,width=0.5; not {model!r}"
             )
         values[key] = _parse_value(value)
-    parameters = inspect.signature(_find_factory(name)).parameters
+    try:
+        parameters = inspect.signature(_find_factory(name)).parameters
+    except (TypeError, ValueError):
+        # A callable without a signature, which is written in C.
+        return values
+    # The first parameter is the number of classes.
+    known = list(parameters)[1:]
     takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
-    unknown = [] if takes_any else [key for key in values if key not in parameters]
+    unknown = [] if takes_any else [key for key in values if key not in known]
     if unknown:
-        known = ", ".join(list(parameters)[1:]) or "none"
-        raise ArgumentError("model", f"{name} has no option {unknown[0]}; its options are {known}")
+        text = ", ".join(known) or "none"
+        raise ArgumentError("model", f"{name} has no option {unknown[0]}; its options are {text}")
     return values
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _parse_value(text: str) -> Any:

@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, Self, final
+from typing import TYPE_CHECKING, Any, Final, Self, final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import nn
-from torch.nn import functional
 
 from pepperscene.dataset.store.atomic import write_file
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.models.registry import build_model
 from pepperscene.version import __version__
+
+if TYPE_CHECKING:
+    import torch
+    from torch import nn
 
 MODEL_FILE: Final = "model.safetensors"
 FORMAT: Final = "pepperscene model 1"
@@ -45,6 +47,9 @@ class TrainedModel:
 
     def probabilities(self, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Probabilities of the classes `(k, h, w)` for an image `(h, w, 3)`."""
+        import torch
+        from torch.nn import functional
+
         self.module.eval()
         device = next(self.module.parameters()).device
         with torch.inference_mode():
@@ -76,11 +81,23 @@ class TrainedModel:
         }
 
 
+def require_torch() -> None:
+    """Raise `SetupError` if torch or safetensors is not installed."""
+    for name in ("torch", "safetensors"):
+        if find_spec(name) is None:
+            raise SetupError(f"{name} is not installed; install it with `pip install 'pepperscene[learn]'`")
+
+
 def apply_model(module: nn.Module, images: torch.Tensor) -> torch.Tensor:
     """Logits `(n, classes, h, w)` at the size of the images, whatever form the model returns them in."""
+    import torch
+    from torch.nn import functional
+
     logits = module(images)
     if isinstance(logits, Mapping):
-        logits = logits["out"]
+        logits = logits.get("out")
+    if not isinstance(logits, torch.Tensor) or logits.ndim != 4 or len(logits) != len(images):
+        raise ArgumentError("model", 'must return logits (n, classes, h, w), or a dict with these as "out"')
     if logits.shape[-2:] != images.shape[-2:]:
         logits = functional.interpolate(logits, size=images.shape[-2:], mode="bilinear", align_corners=False)
     return logits
@@ -94,7 +111,11 @@ def load_model(path: str | Path) -> TrainedModel:
 
     Raises:
         InputError: there is no model, the file is damaged, or its weights do not fit the model that it names.
+        SetupError: torch is not installed.
     """
+    require_torch()
+    import torch
+
     file = Path(path)
     file = file / MODEL_FILE if file.is_dir() else file
     if not file.is_file():
@@ -102,10 +123,12 @@ def load_model(path: str | Path) -> TrainedModel:
     tensors, description = read_weights(file, FORMAT)
     try:
         classes = ClassTable.parse(description["classes"])
-        # The random weights, which are replaced, must not change the caller's random numbers.
+        width, training = description["width"], description["training"]
+        # Random weights are replaced; torch's generator stays as it is.
         with torch.random.fork_rng(devices=[]):
             module = build_model(description["model"], len(classes))
-        width, training = description["width"], description["training"]
+    except ArgumentError as error:
+        raise InputError(file, error.problem, key=error.where) from None
     except (KeyError, TypeError, AttributeError):
         raise InputError(file, "lacks the description of its model") from None
     fill_module(module, tensors, file)
@@ -124,9 +147,14 @@ def fill_module(module: nn.Module, tensors: Mapping[str, torch.Tensor], file: Pa
 
 def weights_as_bytes(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]) -> bytes:
     """A safetensors file with a description in its header."""
+    import torch
     from safetensors.torch import save
 
-    contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    # Copies, because tensors of a module may share memory, which safetensors does not allow.
+    contiguous = {
+        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
+        for name, tensor in tensors.items()
+    }
     return save(contiguous, {"description": json.dumps(description, sort_keys=True)})
 
 
@@ -147,6 +175,8 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
 
 def _scaled(image: torch.Tensor, width: int | None) -> torch.Tensor:
     """An image `(n, 3, h, w)` at a width."""
+    from torch.nn import functional
+
     if width is None or image.shape[-1] == width:
         return image
     height = max(1, round(image.shape[-2] * width / image.shape[-1]))

@@ -68,21 +68,47 @@ def read_state(
     file = folder / STATE_FILE
     tensors, description = read_weights(file, FORMAT)
     found = description.get("record", {})
-    for key in sorted({*record, *found}):
-        if record.get(key) != found.get(key):
-            problem = f"is {found.get(key)!r} there and {record.get(key)!r} here; choose another folder"
-            raise InputError(file, f"holds another training: {key} {problem}")
+    check_record(file, found, record)
     weights = {name[len(_MODEL) :]: value for name, value in tensors.items() if name.startswith(_MODEL)}
     fill_module(module, weights, file)
-    step = int(description["step"])
     try:
+        step = int(description["step"])
+        state = TrainingState(step, description["best"], int(description["best_step"]), found)
         for name, parameter in module.named_parameters():
             if _FIRST + name in tensors:
+                # Moments have the memory format of their weights, as those that Adam makes.
                 optimiser.state[parameter] = {
                     "step": torch.tensor(float(step)),
-                    "exp_avg": tensors[_FIRST + name].to(parameter),
-                    "exp_avg_sq": tensors[_SECOND + name].to(parameter),
+                    "exp_avg": torch.empty_like(parameter).copy_(tensors[_FIRST + name]).detach(),
+                    "exp_avg_sq": torch.empty_like(parameter).copy_(tensors[_SECOND + name]).detach(),
                 }
     except KeyError as error:
         raise InputError(file, f"lacks {error}") from None
-    return TrainingState(step, description["best"], int(description["best_step"]), found)
+    return state
+
+
+def check_record(file: Path, found: Any, record: Mapping[str, Any]) -> None:
+    """Raise `InputError` if a file was written by another training; the first difference is named."""
+    difference = _first_difference(found, record, "")
+    if difference is not None:
+        key, there, here = difference
+        problem = f"{key} is {there!r} there and {here!r} here"
+        raise InputError(file, f"holds another training: {problem}; choose another folder")
+
+
+def _first_difference(found: Any, here: Any, key: str) -> tuple[str, Any, Any] | None:
+    """Dotted key and values of the first difference of two JSON values."""
+    if isinstance(found, list) and isinstance(here, list):
+        if len(found) != len(here):
+            return f"number of {key}", len(found), len(here)
+        if not any(isinstance(value, Mapping) for value in found):
+            return None if found == here else (key, found, here)
+        found, here = dict(enumerate(found)), dict(enumerate(here))
+    if not (isinstance(found, Mapping) and isinstance(here, Mapping)):
+        return None if found == here else (key, found, here)
+    for name in sorted({*found, *here}):
+        path = f"{key}.{name}" if key else str(name)
+        difference = _first_difference(found.get(name), here.get(name), path)
+        if difference is not None:
+            return difference
+    return None

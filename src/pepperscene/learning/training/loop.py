@@ -1,33 +1,32 @@
-"""Training a network on labelled images."""
+"""The steps of a training."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 import torch
 
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.store.atomic import check_can_create, is_temporary, write_error, write_file
-from pepperscene.errors import ArgumentError, InputError, OutputError
+from pepperscene.dataset.store.atomic import remove_temporary_files, write_file
+from pepperscene.errors import ArgumentError, InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.confusion import confusion_matrix, mean_intersection_over_union
 from pepperscene.learning.evaluation.segmenter import predict_classes
-from pepperscene.learning.models.registry import build_model
-from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model, load_model
+from pepperscene.learning.models.registry import build_model, without_initial_weights
+from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
 from pepperscene.learning.training.loss import SegmentationLoss, class_weights
-from pepperscene.learning.training.samples import TrainingSamples
+from pepperscene.learning.training.progress import TrainingProgress
+from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
 from pepperscene.learning.training_options import TrainingOptions
-from pepperscene.version import __version__
 
 LOG_FILE: Final = "training.jsonl"
 
@@ -36,91 +35,8 @@ _BETAS: Final = (0.9, 0.999)  # section 2.8 of the paper
 _EPSILON: Final = 1e-8  # section 2.8 of the paper
 
 
-@dataclass(frozen=True)
-class TrainingProgress:
-    """A finished step.
-
-    Attributes:
-        step, steps: number of finished steps, and of all.
-        loss: mean since the last call.
-        images_per_s: since the start or the resumption.
-        left_s: estimated time to the end, in seconds.
-        mean_iou: of a validation after this step; None if there was none.
-    """
-
-    step: int
-    steps: int
-    loss: float
-    images_per_s: float
-    left_s: float
-    mean_iou: float | None = None
-
-
-def train(
-    sets: Sequence[ImageSet],
-    out: str | Path,
-    options: TrainingOptions | None = None,
-    *,
-    validation: Sequence[ImageSet] = (),
-    start: TrainedModel | str | Path | None = None,
-    resume: bool = False,
-    workers: int = 0,
-    device: str | None = None,
-    on_progress: Callable[[TrainingProgress], None] | None = None,
-) -> TrainedModel:
-    """Train a network, and write it into a folder.
-
-    The folder holds `model.safetensors` (the network, after the best validation or else the last step),
-    `state.safetensors` (all that a resumption needs) and `training.jsonl` (loss and validations). A training
-    that was killed and is resumed ends with the same bytes as one that was not, on the same machine with the
-    same number of threads: crops and dropout depend on the seed and the number of the step alone.
-
-    Args:
-        sets: labelled images. A set that occurs twice counts twice.
-        out: new or empty folder, or that of the training to resume.
-        options: see `TrainingOptions`.
-        validation: images by which the best state of the network is chosen; none for the last one.
-        start: a trained model to start from. Its model and its classes are kept, so that `options.classes`,
-            in which the labels are read, must be the same or mergers of them.
-        resume: go on with the training in the folder, if there is one.
-        workers: processes that read images; 0 for this one. They do not change the result.
-        device: of torch, such as "cpu" or "cuda:0"; None for a GPU if there is one.
-        on_progress: is called after some steps, at least at each validation.
-
-    Returns:
-        The network that was written.
-
-    Raises:
-        InputError: sets hold no images, no masks, or no pixel of the classes; an option is not allowed; or
-            the folder holds another training.
-        OutputError: the folder is not empty, or cannot be written to.
-    """
-    chosen, folder = options or TrainingOptions(), Path(out)
-    origin = load_model(start) if isinstance(start, str | Path) else start
-    if origin is not None:
-        # The defaults are those of the model that is adapted, not those of the small one.
-        chosen = replace(chosen, model=origin.model, classes=chosen.classes or str(origin.classes))
-    chosen = chosen.completed()
-    labels = ClassTable.parse(chosen.classes)
-    _check_sets(sets, "sets")
-    _check_sets(validation, "validation")
-    _check_folder(folder, resume)
-    record = _record(chosen, sets, validation, origin)
-    with _determinism(chosen.seed):
-        training = _Training(chosen, sets, labels, origin, device, record)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            training.run(folder, validation, workers, on_progress)
-        except OSError as error:
-            raise write_error(error, folder) from None
-        finally:
-            # A training that failed before its first checkpoint leaves nothing.
-            with suppress(OSError):
-                folder.rmdir()
-    return load_model(folder)
-
-
-class _Training:
+@final
+class TrainingLoop:
     """Network, loss and optimiser of a training, and its loop."""
 
     def __init__(
@@ -133,13 +49,14 @@ class _Training:
         record: Mapping[str, Any],
     ) -> None:
         self.options, self.labels, self.record = options, labels, record
-        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        self.device = _find_device(device)
         classes = labels if origin is None else origin.classes
         module = build_model(options.model, len(classes))
         if origin is not None:
             module.load_state_dict(origin.module.state_dict())
         module.to(self.device, memory_format=torch.channels_last)
-        self.trained = TrainedModel(module, options.model, classes, options.width, record)
+        model = without_initial_weights(options.model)
+        self.trained = TrainedModel(module, model, classes, options.width, record)
         weights = class_weights(sets, labels, options.balance or 0.0)
         self.loss = SegmentationLoss(labels, classes, weights).to(self.device)
         assert options.learning_rate is not None
@@ -163,6 +80,8 @@ class _Training:
         state = TrainingState(0, None, 0, self.record)
         if (folder / STATE_FILE).is_file():
             state = read_state(folder, self.trained.module, self.optimiser, self.record)
+        if folder.is_dir():
+            remove_temporary_files(folder)
         _truncate_log(folder / LOG_FILE, state.step)
         start, begin, losses = state.step, time.monotonic(), []
         for step, batch in enumerate(self._batches(state.step, workers), start=state.step + 1):
@@ -186,12 +105,16 @@ class _Training:
         assert options.steps is not None
         assert options.batch is not None
         loader = torch.utils.data.DataLoader(
-            self.samples,
+            CheckedSamples(self.samples),
             batch_size=options.batch,
             sampler=range(first * options.batch, options.steps * options.batch),
             num_workers=workers,
+            collate_fn=join_samples,
         )
-        yield from loader
+        for batch in loader:
+            if isinstance(batch, PepperError):
+                raise batch
+            yield batch
 
     def _step(self, step: int, images: torch.Tensor, labels: torch.Tensor) -> float:
         """Adapt the weights to a batch; returns its loss."""
@@ -205,6 +128,9 @@ class _Training:
             self.device.type, torch.bfloat16, enabled=_uses_bfloat16(self.options, self.device)
         ):
             logits = apply_model(module, inputs)
+        if logits.shape[1] != len(self.trained.classes):
+            problem = f"must return logits of {len(self.trained.classes)} classes, not {logits.shape[1]}"
+            raise ArgumentError("model", problem)
         loss = self.loss(logits, labels.to(self.device).long())
         self.optimiser.zero_grad()
         loss.backward()
@@ -218,6 +144,7 @@ class _Training:
         self, folder: Path, step: int, state: TrainingState, mean_iou: float | None, loss: float
     ) -> TrainingState:
         """Write the network if it is the best one, the log, and last the state that a resumption reads."""
+        folder.mkdir(parents=True, exist_ok=True)
         best, best_step = state.best, state.best_step
         if mean_iou is None or best is None or mean_iou > best:
             best, best_step = mean_iou, step
@@ -265,62 +192,22 @@ def _uses_bfloat16(options: TrainingOptions, device: torch.device) -> bool:
 
 
 @contextmanager
-def _determinism(seed: int) -> Iterator[None]:
+def seeded(seed: int) -> Iterator[None]:
     """Seed torch's generators, and give them back as they were."""
-    with torch.random.fork_rng():
+    with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
         torch.manual_seed(seed)
         yield
 
 
-def _check_sets(sets: Sequence[ImageSet], where: str) -> None:
-    if where == "sets" and not sets:
-        raise ArgumentError(where, "must hold at least one set")
-    for images in sets:
-        if len(images) == 0:
-            raise InputError(images.name, "holds no images")
-
-
-def _check_folder(folder: Path, resume: bool) -> None:
-    check_can_create(folder)
-    names = {path.name for path in folder.iterdir() if not is_temporary(path)} if folder.is_dir() else set()
-    # A training that was killed at its first checkpoint may have left a model or a log, but no state.
-    if not names or (resume and names <= {MODEL_FILE, LOG_FILE}):
-        return
-    if not (folder / STATE_FILE).is_file():
-        raise OutputError(f"{folder}: is not empty and holds no training; choose another folder")
-    if not resume:
-        raise OutputError(f"{folder}: holds a training; resume it with --resume, or choose another folder")
-
-
-def _record(
-    options: TrainingOptions,
-    sets: Sequence[ImageSet],
-    validation: Sequence[ImageSet],
-    origin: TrainedModel | None,
-) -> dict[str, Any]:
-    """What defines the result of a training: a resumption must agree with it."""
-    return {
-        "options": options.as_record(),
-        "sets": [_describe_set(images) for images in sets],
-        "validation": [_describe_set(images) for images in validation],
-        "start": None if origin is None else _digest_weights(origin),
-        "versions": {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__},
-    }
-
-
-def _describe_set(images: ImageSet) -> dict[str, Any]:
-    names = hashlib.sha256("\n".join(images.names()).encode("utf-8", "surrogateescape")).hexdigest()
-    info = getattr(getattr(images, "dataset", None), "info", None)
-    recipe = info.get("recipe_sha256") if isinstance(info, Mapping) else None
-    return {"name": images.name, "images": len(images), "names_sha256": names, "recipe_sha256": recipe}
-
-
-def _digest_weights(segmenter: TrainedModel) -> str:
-    content = hashlib.sha256(str(segmenter.classes).encode())
-    for name, tensor in sorted(segmenter.module.state_dict().items()):
-        content.update(name.encode())
-        content.update(tensor.cpu().contiguous().numpy().tobytes())
-    return content.hexdigest()
+def _find_device(name: str | None) -> torch.device:
+    """A device of torch; raises `ArgumentError` if this machine does not have it."""
+    try:
+        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
+        float(torch.zeros(1, device=device))
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).strip().split("\n")[0]
+        raise ArgumentError("device", f"{name} cannot be used ({reason})") from None
+    return device
 
 
 def _truncate_log(file: Path, step: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
 from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
-from pepperscene.errors import InputError
+from pepperscene.errors import InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.training_options import TrainingOptions
 
@@ -53,6 +53,33 @@ class TrainingSamples(torch.utils.data.Dataset):
             if array is None:
                 raise InputError(images.name, f"{image.name} has no {name}, which training needs")
         return _scaled(image, self._labels, self._width)
+
+
+@final
+class CheckedSamples(torch.utils.data.Dataset):
+    """Crops by number, with an error in place of a crop that cannot be read.
+
+    A `DataLoader` does not bring errors of several arguments back from its workers.
+    """
+
+    def __init__(self, samples: TrainingSamples) -> None:
+        self._samples = samples
+
+    def __getitem__(self, number: int) -> tuple[torch.Tensor, torch.Tensor] | PepperError:
+        """Crop with a number, or the error of reading it."""
+        try:
+            return self._samples[number]
+        except PepperError as error:
+            return error
+
+
+def join_samples(samples: Sequence[Any]) -> tuple[torch.Tensor, torch.Tensor] | PepperError:
+    """A batch of crops, or the first error among them."""
+    for sample in samples:
+        if isinstance(sample, PepperError):
+            return sample
+    images, labels = zip(*samples, strict=True)
+    return torch.stack(images), torch.stack(labels)
 
 
 def _augmentation(size: tuple[int, int], strength: float) -> Augmentation:

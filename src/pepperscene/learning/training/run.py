@@ -1,0 +1,164 @@
+"""Training a network on labelled images; without torch until a training starts."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.dataset.store.atomic import check_can_create, is_temporary, write_error
+from pepperscene.errors import ArgumentError, InputError, OutputError
+from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.models.trained_model import (
+    FORMAT,
+    MODEL_FILE,
+    TrainedModel,
+    load_model,
+    read_weights,
+    require_torch,
+)
+from pepperscene.learning.training.progress import TrainingProgress
+from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.version import __version__
+
+
+def train(
+    sets: ImageSet | Sequence[ImageSet],
+    out: str | Path,
+    options: TrainingOptions | None = None,
+    *,
+    validation: ImageSet | Sequence[ImageSet] = (),
+    start: TrainedModel | str | Path | None = None,
+    resume: bool = False,
+    workers: int = 0,
+    device: str | None = None,
+    on_progress: Callable[[TrainingProgress], None] | None = None,
+) -> TrainedModel:
+    """Train a network, and write it into a folder.
+
+    The folder holds `model.safetensors` (the network, after the best validation or else the last step),
+    `state.safetensors` (all that a resumption needs) and `training.jsonl` (loss and validations). A training
+    that was killed and is resumed ends with the same bytes as one that was not, on the processor of the same
+    machine with the same number of threads: crops and dropout depend on the seed and the number of the step
+    alone. On a GPU the order of sums varies.
+
+    Args:
+        sets: labelled images, of one set or several. A set that occurs twice counts twice.
+        out: new or empty folder, or that of the training to resume.
+        options: see `TrainingOptions`.
+        validation: images by which the best state of the network is chosen; none for the last one.
+        start: a trained model to start from. Its model and its classes are kept, so that `options.classes`,
+            in which the labels are read, must be the same or mergers of them; None stands for its classes.
+        resume: go on with the training in the folder, if there is one.
+        workers: processes that read images; 0 for this one. They do not change the result.
+        device: of torch, such as "cpu" or "cuda:0"; None for a GPU if there is one.
+        on_progress: is called after each step.
+
+    Returns:
+        The network that was written.
+
+    Raises:
+        InputError: sets hold no images, no masks, or no pixel of the classes; an option is not allowed; or
+            the folder holds another training.
+        OutputError: the folder is not empty, or cannot be written to.
+        SetupError: torch is not installed.
+    """
+    require_torch()
+    from pepperscene.learning.training.loop import TrainingLoop, seeded
+    from pepperscene.learning.training.loss import class_weights
+
+    chosen, folder = options or TrainingOptions(), Path(out)
+    sets, validation = _as_tuple(sets), _as_tuple(validation)
+    origin = load_model(start) if isinstance(start, str | Path) else start
+    if origin is not None:
+        # The defaults are those of the model that is adapted.
+        chosen = replace(chosen, model=origin.model, classes=chosen.classes or str(origin.classes))
+    chosen = chosen.completed()
+    labels = ClassTable.parse(chosen.classes)
+    _check_sets(sets, "sets")
+    _check_sets(validation, "validation")
+    record = _record(chosen, sets, validation, origin)
+    _check_folder(folder, resume, record)
+    if validation:
+        # Raises an error if they have no pixel of the classes.
+        class_weights(validation, labels, 0.0)
+    with seeded(chosen.seed):
+        training = TrainingLoop(chosen, sets, labels, origin, device, record)
+        try:
+            training.run(folder, validation, workers, on_progress)
+        except OSError as error:
+            raise write_error(error, folder) from None
+    return load_model(folder)
+
+
+def _as_tuple(sets: ImageSet | Sequence[ImageSet]) -> tuple[ImageSet, ...]:
+    return (sets,) if isinstance(sets, ImageSet) else tuple(sets)
+
+
+def _check_sets(sets: Sequence[ImageSet], where: str) -> None:
+    if where == "sets" and not sets:
+        raise ArgumentError(where, "must hold at least one set")
+    for images in sets:
+        if len(images) == 0:
+            raise InputError(images.name, "holds no images")
+
+
+def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None:
+    """Raise an error unless the folder is new, or holds this training and is to be resumed."""
+    from pepperscene.learning.training.checkpoint import STATE_FILE, check_record
+
+    check_can_create(folder)
+    if not folder.is_dir():
+        return
+    # A killed training can leave temporary files, which are removed later.
+    names = {path.name for path in folder.iterdir() if not is_temporary(path)}
+    if not names:
+        return
+    if not names & {STATE_FILE, MODEL_FILE}:
+        raise OutputError(f"{folder}: is not empty and holds no training; choose another folder")
+    if not resume:
+        raise OutputError(f"{folder}: holds a training; resume it with --resume, or choose another folder")
+    if STATE_FILE not in names:
+        # The training was killed at its first checkpoint, or its state was removed. It starts anew.
+        file = folder / MODEL_FILE
+        training = dict(read_weights(file, FORMAT)[1].get("training") or {})
+        results = ("step", "validation_mean_iou")
+        check_record(file, {key: training[key] for key in training if key not in results}, record)
+
+
+def _record(
+    options: TrainingOptions,
+    sets: Sequence[ImageSet],
+    validation: Sequence[ImageSet],
+    origin: TrainedModel | None,
+) -> dict[str, Any]:
+    """What defines the result of a training: a resumption must agree with it."""
+    import torch
+
+    return {
+        "options": options.as_record(),
+        "sets": [_describe_set(images) for images in sets],
+        "validation": [_describe_set(images) for images in validation],
+        "start": None if origin is None else _digest_weights(origin),
+        "versions": {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__},
+    }
+
+
+def _describe_set(images: ImageSet) -> dict[str, Any]:
+    names = hashlib.sha256("\n".join(images.names()).encode("utf-8", "surrogateescape")).hexdigest()
+    info = getattr(getattr(images, "dataset", None), "info", None)
+    recipe = info.get("recipe_sha256") if isinstance(info, Mapping) else None
+    return {"name": images.name, "images": len(images), "names_sha256": names, "recipe_sha256": recipe}
+
+
+def _digest_weights(segmenter: TrainedModel) -> str:
+    content = hashlib.sha256(str(segmenter.classes).encode())
+    for name, tensor in sorted(segmenter.module.state_dict().items()):
+        content.update(name.encode())
+        content.update(tensor.cpu().contiguous().numpy().tobytes())
+    return content.hexdigest()
