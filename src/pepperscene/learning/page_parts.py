@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -14,17 +14,21 @@ from pepperscene.dataset.report.markup import Html, csp_hash, element, fragment,
 from pepperscene.learning.class_table import ClassTable
 
 _STYLE: Final = """
-:root { color-scheme: light dark; }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 0 auto; padding: 1rem; }
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; }
+main { max-width: 75rem; margin: 0 auto; padding: 1rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .9rem .2rem 0; text-align: right; border-bottom: 1px solid #8886; }
+th, td { padding: .25rem 1.1rem .25rem 0; text-align: right; border-bottom: 1px solid #ccc; }
 th:first-child { text-align: left; font-weight: 500; }
+td { white-space: nowrap; }
 .scroll { overflow-x: auto; }
-.row { display: grid; grid-template-columns: repeat(auto-fit, minmax(14rem, 1fr)); gap: .5rem; }
+.chart { width: 100%; height: auto; }
+.pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem; }
+.row { display: grid; grid-auto-flow: column; grid-auto-columns: minmax(0, 1fr); gap: .4rem; }
 figure { margin: 0; }
 img { display: block; width: 100%; height: auto; }
-.legend { display: flex; flex-wrap: wrap; gap: .3rem 1.1rem; }
-.legend svg { width: .9em; height: .9em; margin-right: .4em; outline: 1px solid #8886; }
+.legend { display: flex; flex-wrap: wrap; gap: .3rem 1.2rem; }
+.swatch { width: .9em; height: .9em; margin-right: .4em; outline: 1px solid #888; }
 """
 
 _IGNORED: Final = "no label"
@@ -47,16 +51,20 @@ def page_document(title: str, *sections: Html) -> Html:
 
 def table_section(table: TextTable) -> Html:
     """A text table as a section of the page."""
-    header = element("tr", *(element("th", head, scope="col") for head in table.heads))
-    rows = [
+    content = data_table(table.title, table.heads, table.rows)
+    notes = (element("p", note) for note in table.notes)
+    return element("section", element("h2", table.title), content, *notes)
+
+
+def data_table(label: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Html:
+    """A table that scrolls where the window is narrow; `label` is read out for it."""
+    header = element("tr", *(element("th", head, scope="col") for head in heads))
+    lines = [
         element("tr", element("th", name, scope="row"), *(element("td", cell) for cell in cells))
-        for name, *cells in table.rows
+        for name, *cells in rows
     ]
-    content = element("table", element("thead", header), element("tbody", *rows))
-    region = element("div", content, class_="scroll", tabindex=0, role="region", aria_label=table.title)
-    return element(
-        "section", element("h2", table.title), region, *(element("p", note) for note in table.notes)
-    )
+    content = element("table", element("thead", header), element("tbody", *lines))
+    return element("div", content, class_="scroll", tabindex=0, role="region", aria_label=label)
 
 
 def picture_row(panels: Sequence[tuple[str, str]], name: str, size: tuple[int, int]) -> Html:
@@ -83,8 +91,17 @@ def class_legend(classes: ClassTable, *indices: NDArray[np.uint8]) -> Html:
     palette = class_palette_of(classes)
     names = {**dict(enumerate(classes.names)), IGNORE_CLASS: _IGNORED}
     present = sorted({int(index) for image in indices for index in np.unique(image)})
-    entries = [element("span", _swatch(palette[index]), names[index]) for index in present]
-    return element("p", joined(entries, " "), class_="legend")
+    return legend([("#" + bytes(palette[index].tolist()).hex(), names[index]) for index in present])
+
+
+def legend(entries: Sequence[tuple[str, str]]) -> Html:
+    """Colours ("#rrggbb") with what they stand for."""
+    items = []
+    for colour, name in entries:
+        patch = element("rect", width=10, height=10, fill=colour)
+        swatch = element("svg", patch, viewBox="0 0 10 10", class_="swatch", aria_hidden="true")
+        items.append(element("span", swatch, name))
+    return element("p", joined(items, " "), class_="legend")
 
 
 def class_palette_of(classes: ClassTable) -> NDArray[np.uint8]:
@@ -92,10 +109,3 @@ def class_palette_of(classes: ClassTable) -> NDArray[np.uint8]:
     palette = np.full((256, 3), IGNORE_COLOUR, np.uint8)
     palette[: len(classes)] = classes.colours
     return palette
-
-
-def _swatch(colour: NDArray[np.uint8]) -> Html:
-    """A patch of a class's colour."""
-    code = "#" + bytes(colour.tolist()).hex()
-    patch = element("rect", width=10, height=10, fill=code)
-    return element("svg", patch, viewBox="0 0 10 10", aria_hidden="true")

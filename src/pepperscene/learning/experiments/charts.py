@@ -77,18 +77,6 @@ def curve_chart(
     return _svg(chart_id, title, size, parts)
 
 
-def legend(keys: Sequence[tuple[str, str]]) -> Html:
-    """Colours of experiments with their names."""
-    items = [element("span", swatch(COLOURS[key]), name) for key, name in keys]
-    return element("p", joined(items, " "), class_="legend")
-
-
-def swatch(colour: str) -> Html:
-    """A patch of a colour."""
-    patch = element("rect", width=10, height=10, fill=colour)
-    return element("svg", patch, viewBox="0 0 10 10", class_="swatch", aria_hidden="true")
-
-
 def _bar(bar: Bar, left: float, width: float) -> Html:
     if bar.value is None:
         return _text("-", left + width / 2, _BAR_HEIGHT - _BOTTOM - 4, 11)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
+
 from pepperscene.dataset.report.colours import jpeg_data_uri, png_data_uri
-from pepperscene.dataset.report.markup import Html, csp_hash, element, fragment, joined
+from pepperscene.dataset.report.markup import Html, element, fragment
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.experiments.charts import (
     COLOURS,
@@ -14,29 +16,11 @@ from pepperscene.learning.experiments.charts import (
     TrainingCurve,
     bar_chart,
     curve_chart,
-    legend,
-    swatch,
 )
 from pepperscene.learning.experiments.page_setup import used_section
 from pepperscene.learning.experiments.pictures import PictureRow
 from pepperscene.learning.experiments.schedule import MERGED
-
-_STYLE: Final = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 72rem; margin: 0 auto; padding: 1rem; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem 1.1rem .25rem 0; text-align: right; border-bottom: 1px solid #ccc; vertical-align: top; }
-th:first-child { text-align: left; }
-td { white-space: nowrap; }
-.scroll { overflow-x: auto; }
-.chart { width: 100%; height: auto; }
-.pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem; }
-.row { display: grid; grid-auto-flow: column; grid-auto-columns: minmax(0, 1fr); gap: .4rem; }
-figure { margin: 0; }
-img { display: block; width: 100%; height: auto; }
-.legend { display: flex; flex-wrap: wrap; gap: .3rem 1.2rem; }
-.swatch { width: .9em; height: .9em; margin-right: .4em; outline: 1px solid #888; }
-"""  # noqa: E501
+from pepperscene.learning.page_parts import class_legend, data_table, legend, page_document, picture_row
 
 _TITLE: Final = "Training on synthetic images, tested on photographs"
 
@@ -51,18 +35,8 @@ def experiments_page(
         pictures: photographs with predictions.
         times: seconds of each training and test.
     """
-    policy = fragment("default-src 'none'; img-src data:; style-src ", csp_hash(_STYLE))
-    head = element(
-        "head",
-        Html('<meta charset="utf-8">'),
-        Html('<meta name="viewport" content="width=device-width, initial-scale=1">'),
-        Html(f'<meta http-equiv="Content-Security-Policy" content="{policy}">'),
-        element("title", _TITLE),
-        element("style", Html(_STYLE)),
-    )
-    main = element(
-        "main",
-        element("h1", _TITLE),
+    return page_document(
+        _TITLE,
         _introduction(content),
         _result_section(content),
         _difference_section(content),
@@ -71,7 +45,6 @@ def experiments_page(
         _curve_section(content),
         used_section(content, times),
     )
-    return fragment(Html("<!DOCTYPE html>\n"), element("html", head, element("body", main), lang="en"), "\n")
 
 
 def format_measure(measure: Mapping[str, Any], *, signed: bool = False) -> str:
@@ -84,17 +57,6 @@ def format_measure(measure: Mapping[str, Any], *, signed: bool = False) -> str:
         text += f" [{100 * measure['low']:{sign}.1f}, {100 * measure['high']:{sign}.1f}]"
     deviation = measure.get("sd_over_seeds")
     return text if deviation is None else f"{text} ± {100 * deviation:.1f}"
-
-
-def data_table(label: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    """A table that scrolls where the window is narrow."""
-    header = element("tr", *(element("th", head, scope="col") for head in heads))
-    lines = [
-        element("tr", element("th", name, scope="row"), *(element("td", cell) for cell in cells))
-        for name, *cells in rows
-    ]
-    table = element("table", element("thead", header), element("tbody", *lines))
-    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label)
 
 
 def _introduction(content: Mapping[str, Any]) -> Html:
@@ -146,7 +108,7 @@ def _result_section(content: Mapping[str, Any]) -> Html:
         element("p", note),
         *(element("p", text) for text in missing),
         bar_chart("iou", "IoU by class and experiment, in percent", groups),
-        legend([(key, f"{key}: {_short(item['title'])}") for key, item in ran]),
+        legend([(COLOURS[key], f"{key}: {_short(item['title'])}") for key, item in ran]),
     )
 
 
@@ -190,27 +152,15 @@ def _organ_section(content: Mapping[str, Any]) -> Html:
 
 def _picture_section(content: Mapping[str, Any], pictures: Sequence[PictureRow]) -> Html:
     classes = ClassTable.parse(content["classes"])
-    colours = ["#" + bytes(colour.tolist()).hex() for colour in classes.colours]
-    items = [element("span", swatch(code), name) for code, name in zip(colours, classes.names, strict=True)]
-    parts: list[Html] = [element("p", joined(items, " "), class_="legend")]
+    parts = [class_legend(classes, np.arange(len(classes), dtype=np.uint8))]
     for row in pictures:
         panels = [
             ("photograph", jpeg_data_uri(row.photo)),
             *((name, png_data_uri(image)) for name, image in row.panels),
         ]
-        size = {"height": row.photo.shape[0], "width": row.photo.shape[1]}
-        figures = [
-            element(
-                "figure",
-                element("img", src=uri, alt=f"{name} of {row.name}", **size),
-                element("figcaption", name),
-            )
-            for name, uri in panels
-        ]
-        parts.append(
-            element("h3", f"{row.word.capitalize()} of B: {row.name}, mean IoU {100 * row.mean_iou:.1f} %")
-        )
-        parts.append(element("div", *figures, class_="row"))
+        heading = f"{row.word.capitalize()} of B: {row.name}, mean IoU {100 * row.mean_iou:.1f} %"
+        parts.append(element("h3", heading))
+        parts.append(picture_row(panels, row.name, (row.photo.shape[0], row.photo.shape[1])))
     title = "Photographs and predictions of the networks of seed 1"
     return element("section", element("h2", title), *parts)
 
