@@ -17,7 +17,8 @@ from pepperscene.cli.application import (
     handle_errors,
     print_ruled_table,
 )
-from pepperscene.cli.progress import image_progress, training_progress
+from pepperscene.cli.progress import image_progress
+from pepperscene.cli.training_progress import training_progress
 from pepperscene.errors import InputError, SetupError
 
 if TYPE_CHECKING:

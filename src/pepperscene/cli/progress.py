@@ -7,7 +7,7 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from pepperscene.dataset import BuildProgress, BuildResult
-    from pepperscene.learning.training.progress import TrainingProgress
 
 _EVERY_LINE: Final = 200  # chosen: up to so many frames, each is printed
 _INTERVAL_S: Final = 5.0  # chosen: seconds between lines for more frames
@@ -35,7 +34,7 @@ def echo_measured(done: int, total: int) -> None:
         echo_progress(f"{done:,} of {total:,} images measured")
 
 
-class _Throttle:
+class Throttle:
     """Every line for few frames, one line every few seconds for many."""
 
     def __init__(self) -> None:
@@ -125,7 +124,7 @@ class LineReporter(ProgressReporter):
     """Plain lines on standard error."""
 
     def __init__(self) -> None:
-        self._throttle = _Throttle()
+        self._throttle = Throttle()
 
     def frame(self, progress: BuildProgress) -> None:
         """Print a line, unless the last one is recent."""
@@ -135,7 +134,7 @@ class LineReporter(ProgressReporter):
         if progress.frames_per_s is not None:
             parts.append(_format_rate(progress.frames_per_s))
         if progress.left_s is not None and progress.done < progress.total:
-            parts.append(f"{_format_duration(progress.left_s)} left")
+            parts.append(f"{format_duration(progress.left_s)} left")
         state = "built" if progress.made else "kept"
         echo_progress(f"frame {progress.index:06d} {state} ({', '.join(parts)})")
 
@@ -164,7 +163,7 @@ class BarReporter(ProgressReporter):
             total=progress.total,
             description=f"frame {progress.index:06d}",
             rate="" if progress.frames_per_s is None else _format_rate(progress.frames_per_s),
-            left="" if progress.left_s is None else f"{_format_duration(progress.left_s)} left",
+            left="" if progress.left_s is None else f"{format_duration(progress.left_s)} left",
             picture="" if progress.picture is None else str(progress.picture),
         )
 
@@ -195,7 +194,7 @@ def _format_rate(frames_per_s: float) -> str:
     return f"{frames_per_s:.1f} frames/s" if frames_per_s >= 1 else f"{1 / frames_per_s:.1f} s a frame"
 
 
-def _format_duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Hours, minutes and seconds, at most two units."""
     total = round(seconds)
     if total >= 3600:
@@ -225,7 +224,7 @@ def export_progress() -> Iterator[Callable[[int, int, int], None]]:
                 task, completed=done, total=total, description=f"frame {index:06d}"
             )
         return
-    throttle = _Throttle()
+    throttle = Throttle()
 
     def print_line(index: int, done: int, total: int) -> None:
         if throttle.is_due(done, total):
@@ -245,55 +244,13 @@ def image_progress(verb: str) -> Iterator[Callable[[int, int], None]]:
         with _simple_bar(verb, transient=True) as (bar, task):
             yield lambda done, total: bar.update(task, completed=done, total=total)
         return
-    throttle = _Throttle()
+    throttle = Throttle()
 
     def print_line(done: int, total: int) -> None:
         if total > _EVERY_LINE and throttle.is_due(done, total):
             echo_progress(f"{done:,} of {total:,} images {verb}")
 
     yield print_line
-
-
-@contextmanager
-def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
-    """Callback for each step of a training: a bar on a terminal, a line every few seconds elsewhere.
-
-    The result of each validation is a line in both cases.
-    """
-    with _training_bar() if sys.stderr.isatty() else nullcontext() as bar:
-        throttle = _Throttle()
-
-        def show(progress: TrainingProgress) -> None:
-            rate = f"{progress.images_per_s:.1f} images/s, {_format_duration(progress.left_s)} left"
-            text = f"step {progress.step:,} of {progress.steps:,}: loss {progress.loss:.3f}"
-            if bar is not None:
-                bar[0].update(
-                    bar[1], completed=progress.step, total=progress.steps, description=text, rate=rate
-                )
-            if progress.mean_iou is not None:
-                text += f", mean IoU {progress.mean_iou:.3f}"
-                if bar is not None:
-                    bar[0].console.print(text, markup=False, highlight=False)
-            if bar is None and (
-                throttle.is_due(progress.step, progress.steps) or progress.mean_iou is not None
-            ):
-                echo_progress(f"{text} ({rate})")
-
-        yield show
-
-
-@contextmanager
-def _training_bar() -> Iterator[tuple[Progress, TaskID]]:
-    from rich import progress
-    from rich.console import Console
-
-    columns = (
-        progress.TextColumn("{task.description}"),
-        progress.BarColumn(),
-        progress.TextColumn("{task.fields[rate]}"),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
-        yield bar, bar.add_task("reading images", total=None, rate="")
 
 
 @contextmanager
