@@ -165,7 +165,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(finished, tmp_path, monke
         patch.setattr("pepperscene.cli.experiments._message_printer", lambda: stop)
         result = command(*words)
     assert result.exit_code == 130
-    assert "run the same command again to go on" in result.stderr
+    assert "run the same command again to resume" in result.stderr
     assert command(*words).exit_code == 0
 
     # Seed 1 alone has the matrices that it had among two seeds.

@@ -174,7 +174,7 @@ def test_an_interruption_keeps_the_last_checkpoint(bands, tmp_path):
         watcher.join()
     assert result.exit_code == 128 + signal.SIGINT, result.output
     assert result.stderr.splitlines()[-1] == (
-        "interrupted; the last checkpoint is kept; run the same command with --resume to go on"
+        "interrupted; the last checkpoint is kept; run the same command with --resume to continue"
     )
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
     assert load_model(out).training["step"] < 400

@@ -91,7 +91,7 @@ def test_the_learning_rate_follows_its_schedule():
     assert np.all(np.diff(rates[50:]) < 0)
     # Half of the way down at half of the steps after the warm-up.
     assert rates[525 - 1] == pytest.approx(0.005, rel=1e-3)
-    assert 0 < rates[-1] < 1e-8
+    assert rates[-1] == pytest.approx(0, abs=1e-15)
 
 
 # --- reproducibility ----------------------------------------------------------------------------------------

@@ -106,7 +106,7 @@ def experiments(
             on_message=_message_printer(),
         )
     except KeyboardInterrupt as error:
-        error.add_note("run the same command again to go on")
+        error.add_note("run the same command again to resume")
         raise
     for item in files.content["experiments"]:
         typer.echo(_format_result(item))

@@ -92,7 +92,7 @@ def train(
     device: Annotated[
         str | None, typer.Option(metavar="NAME", help="Device of torch, such as cpu or cuda:0.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in the folder.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume the training in the folder.")] = False,
     labels: LabelsOption = None,
     half: HalfOption = None,
 ) -> None:
@@ -126,7 +126,7 @@ def train(
                 on_progress=on_progress,
             )
     except KeyboardInterrupt as error:
-        error.add_note("the last checkpoint is kept; run the same command with --resume to go on")
+        error.add_note("the last checkpoint is kept; run the same command with --resume to continue")
         raise
     found = network.training["validation_mean_iou"]
     quality = "" if found is None else f", mean IoU {found:.3f} of the validation"

@@ -43,7 +43,7 @@ class ClassTable:
 
         Args:
             text: comma-separated classes, each the name of an organ class or `name=organ+organ`; organ
-                classes that do not occur are dropped. None stands for all eight.
+                classes that do not occur are dropped. None for all eight.
             where: name of the argument, for messages.
 
         Raises:

@@ -43,7 +43,7 @@ MODELS: Final[Mapping[str, ModelDefaults]] = MappingProxyType(
 """Models of this package by name."""
 
 _OTHER: Final = ModelDefaults("", 2000, 8, 1e-3, "cosine", 0.5)
-"""Training of a model of the user's, unless options say otherwise."""
+"""Training of a model of the user's, unless options say otherwise. Chosen: as `small`, at half the rate."""
 
 
 def model_defaults(model: str) -> ModelDefaults:

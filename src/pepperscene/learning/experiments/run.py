@@ -69,7 +69,7 @@ def run_experiments(
 ) -> ExperimentFiles:
     """Run experiments A to E of the paper, and write their results into a folder.
 
-    Frames, trainings and tests that the folder holds already are not repeated, so that the same call goes on
+    Frames, trainings and tests that the folder holds already are not repeated, so that the same call resumes
     after an interruption.
 
     Args:

@@ -61,7 +61,7 @@ class DeepLab(nn.Module):
             nn.ZeroPad2d((reach // 2, reach - reach // 2, reach // 2, reach - reach // 2)),
             nn.Conv2d(channels, hidden, kernel, dilation=dilation),
             nn.ReLU(inplace=True),
-            nn.Dropout(0.5),
+            nn.Dropout(0.5),  # as in VGG-16 and DeepLab
             nn.Conv2d(hidden, hidden, 1),
             nn.ReLU(inplace=True),
             nn.Dropout(0.5),

@@ -1,4 +1,4 @@
-"""The state of a training on disk: all that is needed to go on as if it had not stopped."""
+"""The state of a training on disk: all that is needed to resume it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TrainingState:
         step: number of finished steps.
         best: highest mean IoU of a validation; None before the first one, or without validation.
         best_step: at which it was reached.
-        record: options, sets and versions, which must be the same to go on.
+        record: options, sets and versions, which must be the same to resume.
     """
 
     step: int

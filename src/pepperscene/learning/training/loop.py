@@ -33,6 +33,7 @@ LOG_FILE: Final = "training.jsonl"
 _WARM_UP: Final = 0.05  # chosen: part of the steps until the learning rate of a cosine schedule is reached
 _BETAS: Final = (0.9, 0.999)  # section 2.8 of the paper
 _EPSILON: Final = 1e-8  # section 2.8 of the paper
+_SEED_STRIDE: Final = 1_000_003  # chosen: a prime, more than trainings have steps
 
 
 @final
@@ -119,7 +120,7 @@ class TrainingLoop:
     def _step(self, step: int, images: torch.Tensor, labels: torch.Tensor) -> float:
         """Adapt the weights to a batch; returns its loss."""
         # Dropout depends on the step alone, not on where a training was resumed.
-        torch.manual_seed(self.options.seed * 1_000_003 + step)
+        torch.manual_seed(self.options.seed * _SEED_STRIDE + step)
         for group in self.optimiser.param_groups:
             group["lr"] = _learning_rate(self.options, step)
         module = self.trained.module.train()
@@ -178,7 +179,7 @@ def _learning_rate(options: TrainingOptions, step: int) -> float:
     if step <= warm_up:
         return options.learning_rate * step / warm_up
     fraction = (step - warm_up) / max(1, options.steps - warm_up)
-    return options.learning_rate * (0.5 + 0.5 * math.cos(math.pi * fraction)) + 1e-9
+    return options.learning_rate * (0.5 + 0.5 * math.cos(math.pi * fraction))
 
 
 def _uses_bfloat16(options: TrainingOptions, device: torch.device) -> bool:

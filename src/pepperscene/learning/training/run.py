@@ -53,8 +53,8 @@ def train(
         options: see `TrainingOptions`.
         validation: images by which the best state of the network is chosen; none for the last one.
         start: a trained model to start from. Its model and its classes are kept, so that `options.classes`,
-            in which the labels are read, must be the same or mergers of them; None stands for its classes.
-        resume: go on with the training in the folder, if there is one.
+            in which the labels are read, must be the same or mergers of them; None for its classes.
+        resume: continue the training in the folder, if there is one.
         workers: processes that read images; 0 for this one. They do not change the result.
         device: of torch, such as "cpu" or "cuda:0"; None for a GPU if there is one.
         on_progress: is called after each step.

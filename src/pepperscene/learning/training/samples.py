@@ -83,7 +83,10 @@ def join_samples(samples: Sequence[Any]) -> tuple[torch.Tensor, torch.Tensor] | 
 
 
 def _augmentation(size: tuple[int, int], strength: float) -> Augmentation:
-    """Random changes of a strength from 0 to 2; at 0, crops are moved only."""
+    """Random changes of a strength from 0 to 2; at 0, crops are moved only.
+
+    The amounts at strength 1 are those of `Augmentation.standard`.
+    """
     crop = RandomResizedCrop(size, scale=(0.5**strength, 2.0**strength))
     if strength == 0:
         return Augmentation((crop,))
