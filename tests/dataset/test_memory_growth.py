@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -13,10 +14,12 @@ from stand_in import PYTHONPATH
 
 from pepperscene.dataset.subprocess_rpc import THREADS
 
-STATM = Path("/proc/self/statm")
+HAS_GLIBC = Path("/proc/self/statm").exists() and platform.libc_ver()[0] == "glibc"
+MAX_GROWTH_MIB = 5.0
+"""Chosen: twice the noise; a twentieth of eight scenes (100 MiB), a sixth of the images of 240 frames (30 MiB)."""
 
 SCRIPT = """
-import gc, json, resource, tempfile
+import ctypes, gc, json, resource, tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +47,8 @@ def small_camera(renderer, spec):
 def note_memory(progress):
     if progress.done % FRAMES == 0:
         gc.collect()
+        # glibc keeps freed memory for later, up to 18 MiB at a random scene: it is returned first.
+        ctypes.CDLL(None).malloc_trim(0)
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         sizes.append(pages * resource.getpagesize())
 
@@ -58,7 +63,7 @@ print(json.dumps(sizes))
 """
 
 
-@pytest.mark.skipif(not STATM.exists(), reason="needs Linux to know the present memory of a process")
+@pytest.mark.skipif(not HAS_GLIBC, reason="only glibc reports and returns its memory in this way")
 def test_300_frames_of_10_scenes_need_no_more_memory_than_60_frames_of_2():
     result = subprocess.run(
         [sys.executable, "-c", SCRIPT],
@@ -72,6 +77,4 @@ def test_300_frames_of_10_scenes_need_no_more_memory_than_60_frames_of_2():
     assert result.returncode == 0, result.stderr
     sizes = json.loads(result.stdout.splitlines()[-1])
     assert len(sizes) == 10
-    # Eight scenes would be 100 MiB, the images of 240 frames 30 MiB; the allocator's reserve varies by
-    # 15 MiB.
-    assert max(sizes[-5:]) - max(sizes[:2]) < 16 * 2**20
+    assert max(sizes[-5:]) - max(sizes[:2]) < MAX_GROWTH_MIB * 2**20, sizes
