@@ -16,7 +16,7 @@ from pepperscene.dataset.subprocess_rpc import THREADS
 
 HAS_GLIBC = Path("/proc/self/statm").exists() and platform.libc_ver()[0] == "glibc"
 MAX_GROWTH_MIB = 5.0
-"""Chosen: twice the noise; a twentieth of eight scenes (100 MiB), a sixth of the images of 240 frames (30 MiB)."""
+"""Chosen: twice the noise; eight scenes would be 100 MiB, the images of 240 frames 30 MiB."""
 
 SCRIPT = """
 import ctypes, gc, json, resource, tempfile
