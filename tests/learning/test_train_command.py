@@ -87,7 +87,12 @@ def test_rejects_wrong_arguments(rejects, bands, tmp_path):
     rejects("--learning-rate: must be above 0, not -1.0", bands, "--learning-rate", "-1")
     rejects("--precision: must be auto, float32, bfloat16", bands, "--precision", "half")
     rejects("--classes: 'apple' is none of background", bands, "--classes", "apple,leaf")
-    rejects("--model: must be small, deeplab_vgg16 or module:factory", bands, "--model", "unet")
+    rejects(
+        "--model: must be small, efficientnet_lite0, deeplab_vgg16 or module:factory",
+        bands,
+        "--model",
+        "unet",
+    )
     rejects("--device: tpu9 cannot be used", bands, *OPTIONS, "--device", "tpu9")
     rejects("--half: applies only to the published data set", bands, "--half", "empirical")
 

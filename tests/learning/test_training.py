@@ -321,7 +321,10 @@ def test_a_model_states_how_it_was_trained(tmp_path):
         ({"seed": 2**32}, "seed: must be 0 to 4294967295, not 4294967296"),
         ({"precision": "float64"}, "precision: must be auto, float32, bfloat16, not 'float64'"),
         ({"classes": "leaf"}, "classes: there must be two classes or more, not 1"),
-        ({"model": "huge"}, "model: must be small, deeplab_vgg16 or module:factory, not 'huge'"),
+        (
+            {"model": "huge"},
+            "model: must be small, efficientnet_lite0, deeplab_vgg16 or module:factory, not 'huge'",
+        ),
     ],
 )
 def test_rejects_options_that_are_not_allowed(tmp_path, changes, message):

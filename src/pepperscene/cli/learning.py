@@ -52,7 +52,8 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="small, deeplab_vgg16 or module:factory, with options: small,width=0.5. Default: small.",
+            help="small, efficientnet_lite0, deeplab_vgg16 or module:factory, with options: small,width=0.5. "
+            "Default: small.",
         ),
     ] = None,
     start: Annotated[

@@ -34,6 +34,10 @@ MODELS: Final[Mapping[str, ModelDefaults]] = MappingProxyType(
         "small": ModelDefaults(
             "pepperscene.learning.models.small:SmallNetwork", 2000, 8, 2e-3, "cosine", 0.5
         ),
+        # Chosen: as `small`, at half the rate, so that weights learned on photographs are adapted gently.
+        "efficientnet_lite0": ModelDefaults(
+            "pepperscene.learning.models.efficientnet:EfficientNetLite0", 2000, 8, 1e-3, "cosine", 0.5
+        ),
         # Section 2.8 of the paper.
         "deeplab_vgg16": ModelDefaults(
             "pepperscene.learning.models.deeplab:DeepLab", 30_000, 10, 5e-5, "constant", 0.0
