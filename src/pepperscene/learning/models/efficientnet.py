@@ -36,7 +36,7 @@ _STAGES: Final = (
 
 _STEM: Final = 32
 _SKIPS: Final = {0: 16, 2: 24, 4: 40, 10: 112, 15: 320}
-"""Channels after the last block at a half, a quarter, an eighth, a sixteenth and a 32nd of the size."""
+"""Channels after the last block at 1/2, 1/4, 1/8, 1/16 and 1/32 of the size."""
 
 _DECODER: Final = (128, 64, 48, 32)
 """Channels at a sixteenth, an eighth, a quarter and a half. Chosen: most of the time goes to the encoder."""
