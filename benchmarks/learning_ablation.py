@@ -7,8 +7,9 @@ recipe. Sets of fewer frames are parts of the full one. Run the same command aga
 
     python benchmarks/learning_ablation.py --real photographs --labels published --out out/ablation
 
-At the defaults it renders 6,000 frames and trains 27 networks, which takes days on two cores. Gloss,
-relief and spectral light cannot be switched off by a recipe, so that they are not among the variants.
+At the defaults it renders 9,000 frames and trains 36 networks, which takes days on two cores. Gloss, relief
+and spectral light cannot be switched off by a recipe: their variants change the surfaces of each scene before
+it is rendered.
 """
 
 from __future__ import annotations
@@ -17,14 +18,20 @@ import argparse
 import csv
 import io
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pepperscene.cli.progress import echo_progress
 from pepperscene.dataset import BuildOptions, ImageSet, build, open_images, parse_changes, resolve_recipe
 from pepperscene.dataset.report.data import evenly_spaced
+from pepperscene.dataset.scenes.frame_renderer import SceneRenderer, mitsuba_renderer
 from pepperscene.dataset.store.atomic import write_file
 from pepperscene.errors import PepperError
 from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
@@ -33,6 +40,8 @@ from pepperscene.learning.experiments.runner import JobRunner
 from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
 from pepperscene.learning.experiments.sets import OUTPUTS, spread_frames
 from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.materials import Surface
+from pepperscene.scene import Scene
 
 FULL: Final = "full"
 FEWER_FRAMES: Final = (30, 100, 300, 1000, 3000)
@@ -48,6 +57,45 @@ ABLATIONS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     }
 )
 """Changes of the recipe by name of the variant; those of other variants depend on the recipe."""
+
+BAND_EDGES_NM: Final = (490.0, 585.0)
+"""Between blue, green and red: chosen, where the sensitivities of cameras to two of them are about equal."""
+
+
+def without_gloss(surface: Surface) -> Surface:
+    """A surface without a cuticle: its body is matt."""
+    return replace(surface, ior=1.0, wide_roughness=None)
+
+
+def without_relief(surface: Surface) -> Surface:
+    """A surface whose normals are those of the mesh."""
+    return replace(surface, relief_mm=None)
+
+
+def in_three_bands(surface: Surface) -> Surface:
+    """A surface of three reflectances, as a renderer in RGB has: the means over each band."""
+    wavelength_nm = surface.wavelength_nm
+    band = np.searchsorted(BAND_EDGES_NM, wavelength_nm, side="right")
+    visible = (wavelength_nm >= 400) & (wavelength_nm <= 700)
+
+    def banded(spectra: NDArray[np.float64]) -> NDArray[np.float64]:
+        means = np.stack([spectra[..., visible & (band == which)].mean(axis=-1) for which in range(3)], -1)
+        return means[..., band]
+
+    return replace(
+        surface, reflectance=banded(surface.reflectance), transmittance=banded(surface.transmittance)
+    )
+
+
+def render_with(change: Callable[[Surface], Surface], scene: Scene) -> SceneRenderer:
+    """The renderer of a scene whose surfaces are changed."""
+    return mitsuba_renderer(replace(scene, surfaces=tuple(change(surface) for surface in scene.surfaces)))
+
+
+SURFACES: Final[Mapping[str, Callable[[Surface], Surface]]] = MappingProxyType(
+    {"no gloss": without_gloss, "no relief": without_relief, "RGB light": in_three_bands}
+)
+"""Changes of surfaces by name of the variant."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -100,6 +148,7 @@ def variants(options: argparse.Namespace) -> dict[str, Mapping[str, Any]]:
     found: dict[str, Mapping[str, Any]] = {
         FULL: {},
         **ABLATIONS,
+        **{name: {} for name in SURFACES},
         "no residue or ageing": clean_crop(recipe),
         "no variation": typical_values(recipe),
     }
@@ -165,7 +214,10 @@ def build_variant(name: str, changes: Mapping[str, Any], options: argparse.Names
         folder,
         frames,
         OUTPUTS,
-        BuildOptions(quality=options.quality),
+        BuildOptions(
+            quality=options.quality,
+            renderer=partial(render_with, SURFACES[name]) if name in SURFACES else None,
+        ),
         on_frame=lambda progress: print_message(f"{name}: frame {progress.done} of {progress.total}", True),
     )
     return open_images(result.dataset.folder)

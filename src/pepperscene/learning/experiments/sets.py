@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from pepperscene.dataset.execution.build import build
 from pepperscene.dataset.execution.job import BuildOptions
@@ -33,6 +33,10 @@ OUTPUTS: Final = ("colour", "class")
 
 _MODEL_FILE: Final = "model.safetensors"
 _GOLDEN_RATIO: Final = 0.6180339887498949
+_FRAMES_OF_SCENE: Final = 10  # chosen: by then, rendering takes most of the time
+_LEAST_SCENES: Final = 20  # chosen: plants differ less than views
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -169,14 +173,35 @@ def make_sets(
 
 
 def spread_frames(plan: Plan, count: int) -> tuple[int, ...]:
-    """Indices of frames that are spread evenly over the scenes of a plan, at varied views."""
+    """Indices of frames that are spread evenly over the scenes of a plan, at varied views.
+
+    A few frames are of some of the scenes only, because growing a row of plants takes as long as several
+    frames of it.
+    """
     indices = plan.select_indices(None)
     if count >= len(indices):
         return indices
-    width = len(indices) / count
-    # One frame of each stretch; the golden ratio varies its place, which is its view along a path.
-    places = [int((number + number * _GOLDEN_RATIO % 1) * width) for number in range(count)]
-    return tuple(indices[place] for place in places)
+    scenes: dict[int, list[int]] = {}
+    for index in indices:
+        scenes.setdefault(plan.frame(index).scene, []).append(index)
+    # Enough scenes for the frames, however few a scene has.
+    needed = -(-count // min(map(len, scenes.values())))
+    number = min(len(scenes), max(_LEAST_SCENES, count // _FRAMES_OF_SCENE, needed))
+    chosen = _spread(list(scenes.values()), number)
+    return tuple(_spread([index for scene in chosen for index in scene], count))
+
+
+def _spread(items: Sequence[Item], count: int) -> list[Item]:
+    """Some of the items, in order: one of each stretch.
+
+    The golden ratio varies the place in the stretch, which is the view along a path.
+    """
+    bounds = [number * len(items) // count for number in range(count + 1)]
+    stretches = zip(bounds[:-1], bounds[1:], strict=True)
+    return [
+        items[first + int((number * _GOLDEN_RATIO % 1) * (end - first))]
+        for number, (first, end) in enumerate(stretches)
+    ]
 
 
 def describe_images(images: ImageSet) -> dict[str, Any]:
