@@ -299,6 +299,19 @@ def gallery() -> Image.Image:
     return image
 
 
+def fruit_segmenter() -> Image.Image:
+    """A photograph, and in orange the fruit that the network of the tutorial finds in it."""
+    picture = np.asarray(Image.open(ROOT / "docs" / "photos" / "img9.png").convert("RGB"))
+    model = ps.load_model(ROOT / "out" / "fruit" / "model")
+    fruit = model.probabilities(picture).argmax(axis=0) == model.classes.names.index("fruit")
+    found = picture.astype(float)
+    found[fruit] = 0.4 * found[fruit] + 0.6 * np.array([255, 120, 0])
+    image = white()
+    for left, half in ((0, picture), (121, found.astype(np.uint8))):
+        image.paste(fill(half, (119, 160)), (left, 0))
+    return image
+
+
 def first_frame() -> Image.Image:
     """The mesh of a plant, and a photograph."""
     figure, axes = canvas()
@@ -1039,7 +1052,7 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, gallery, first_frame, dataset, build, camera, vary, motion, read, learn, export,
+    quickstart, gallery, fruit_segmenter, first_frame, dataset, build, camera, vary, motion, read, learn, export,
     cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
