@@ -1052,8 +1052,8 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, gallery, fruit_segmenter, first_frame, dataset, build, camera, vary, motion, read, learn, export,
-    cultivar, outputs, harvest, check, plants, rendering, realism,
+    quickstart, gallery, fruit_segmenter, first_frame, dataset, build, camera, vary, motion, read, learn,
+    export, cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (
