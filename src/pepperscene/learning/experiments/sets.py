@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -197,10 +198,9 @@ def _spread(items: Sequence[Item], count: int) -> list[Item]:
     The golden ratio varies the place in the stretch, which is the view along a path.
     """
     bounds = [number * len(items) // count for number in range(count + 1)]
-    stretches = zip(bounds[:-1], bounds[1:], strict=True)
     return [
         items[first + int((number * _GOLDEN_RATIO % 1) * (end - first))]
-        for number, (first, end) in enumerate(stretches)
+        for number, (first, end) in enumerate(pairwise(bounds))
     ]
 
 
