@@ -34,7 +34,7 @@ MODELS: Final[Mapping[str, ModelDefaults]] = MappingProxyType(
         "small": ModelDefaults(
             "pepperscene.learning.models.small:SmallNetwork", 2000, 8, 2e-3, "cosine", 0.5
         ),
-        # Chosen: as `small`, at half the rate, so that weights learned on photographs are adapted gently.
+        # Chosen: as `small`, at half the rate, so that weights learned on photographs change little.
         "efficientnet_lite0": ModelDefaults(
             "pepperscene.learning.models.efficientnet:EfficientNetLite0", 2000, 8, 1e-3, "cosine", 0.5
         ),
