@@ -3,7 +3,8 @@
 One recipe is rendered several times at the same indices of frames, each time with one thing removed. Networks
 are trained on each set with the same seeds and steps, without a choice by validation, and tested on
 photographs. The table has IoU with 95 % intervals over photographs, and the paired difference to the full
-recipe. Sets of fewer frames are parts of the full one. Run the same command again to resume.
+recipe. Sets of fewer frames are parts of the full one, or of sets of the full recipe that exist already
+(`--curve`). Run the same command again to resume.
 
     python benchmarks/learning_ablation.py --real photographs --labels published --out out/ablation
 
@@ -102,8 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Build, train, test, and print the table."""
     options = parse_arguments(arguments)
     try:
-        sets = {name: build_variant(name, changes, options) for name, changes in variants(options).items()}
-        sets |= fewer_frames(sets[FULL])
+        sets = {name: (build_variant(name, changes, options),) for name, changes in variants(options).items()}
+        curve = [open_images(folder) for folder in options.curve]
+        sets |= fewer_frames(curve or sets[FULL])
+        sets |= {f"{count_images(curve):,} frames": tuple(curve)} if curve else {}
         jobs = schedule(sets, options)
         runner = JobRunner(options.out, jobs, options.workers, options.device, print_message)
         runner.run()
@@ -111,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PepperError as error:
         echo_progress(f"error: {error}")
         return 2
-    rows = table_rows({name: len(images) for name, images in sets.items()}, results)
+    rows = table_rows({name: count_images(parts) for name, parts in sets.items()}, results)
     write_file(options.out / "ablation.csv", as_csv(rows).encode())
     write_file(options.out / "ablation.md", as_markdown(rows).encode())
     print(as_markdown(rows))
@@ -128,6 +131,13 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--variants", help="comma-separated; default: all")
     parser.add_argument("--frames", type=int, default=1000, help="of each set")
+    parser.add_argument(
+        "--curve",
+        action="append",
+        default=[],
+        metavar="SET",
+        help="sets of the full recipe, to train on parts",
+    )
     parser.add_argument("--size", default="400x300")
     parser.add_argument("--quality", default="standard")
     parser.add_argument("--seeds", type=int, default=3)
@@ -136,7 +146,8 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--crop", default="256x256")
     parser.add_argument("--model", default="small")
     parser.add_argument("--classes", default=FRUIT_CLASSES)
-    parser.add_argument("--workers", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=0, help="processes that read images")
+    parser.add_argument("--build-workers", type=int, help="processes that render; default: one")
     parser.add_argument("--device")
     return parser.parse_args(arguments)
 
@@ -216,6 +227,7 @@ def build_variant(name: str, changes: Mapping[str, Any], options: argparse.Names
         OUTPUTS,
         BuildOptions(
             quality=options.quality,
+            workers=options.build_workers,
             renderer=partial(render_with, SURFACES[name]) if name in SURFACES else None,
         ),
         on_frame=lambda progress: print_message(f"{name}: frame {progress.done} of {progress.total}", True),
@@ -223,16 +235,24 @@ def build_variant(name: str, changes: Mapping[str, Any], options: argparse.Names
     return open_images(result.dataset.folder)
 
 
-def fewer_frames(images: ImageSet) -> dict[str, ImageSet]:
-    """Parts of the full set."""
+def fewer_frames(sets: Sequence[ImageSet]) -> dict[str, tuple[ImageSet, ...]]:
+    """Parts of sets of the full recipe, each with its share of the frames."""
+    total = count_images(sets)
+    counts = [count for count in FEWER_FRAMES if count < total]
     return {
-        f"{count} frames": images.take(evenly_spaced(len(images), count))
-        for count in FEWER_FRAMES
-        if count < len(images)
+        f"{count} frames": tuple(
+            images.take(evenly_spaced(len(images), round(count * len(images) / total))) for images in sets
+        )
+        for count in counts
     }
 
 
-def schedule(sets: Mapping[str, ImageSet], options: argparse.Namespace) -> list[NetworkJob]:
+def count_images(sets: Sequence[ImageSet]) -> int:
+    """Number of images of several sets."""
+    return sum(len(images) for images in sets)
+
+
+def schedule(sets: Mapping[str, Sequence[ImageSet]], options: argparse.Namespace) -> list[NetworkJob]:
     """A network for each seed and set, tested on all photographs."""
     real = open_images(options.real, labels=options.labels)
     test = NetworkTest("B", (real,), ClassTable.parse(options.classes))
@@ -245,11 +265,11 @@ def schedule(sets: Mapping[str, ImageSet], options: argparse.Namespace) -> list[
             seed,
             None,
             TrainingOptions(options.model, None, options.steps, options.batch, size, seed=seed).completed(),
-            (images,),
+            tuple(parts),
             tests=(test,),
         )
         for seed in range(1, options.seeds + 1)
-        for name, images in sets.items()
+        for name, parts in sets.items()
     ]
 
 
