@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from pepperscene.cli import app
 from pepperscene.dataset.export import Splits, read_splits, split_by_sets
 from pepperscene.dataset.export.splits import shared_plants
 from pepperscene.errors import InputError
@@ -171,3 +173,20 @@ def test_fractions_never_divide_a_moment_and_a_warning_names_shared_plants(case,
 )
 def test_warning_says_which_splits_share_plants_and_what_helps(members, warning):
     assert shared_plants(members, PLAN) == warning
+
+
+@pytest.mark.parametrize(
+    ("split", "warning"),
+    [
+        ("train=0:4,val=4:12", "train and val show the same plants in another order"),
+        ("train=.5,val=.5", ""),
+        ("train=1", ""),
+    ],
+)
+def test_command_prints_the_warning(split, warning, painted, tmp_path):
+    command = ["export", str(painted.folder), "--format", "yolo_detect", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, [*command, "--split", split])
+    assert done.exit_code == 0
+    lines = [line for line in done.stderr.splitlines() if "warning" in line]
+    assert len(lines) == bool(warning)
+    assert all(line.startswith(f"warning: {warning}") for line in lines)

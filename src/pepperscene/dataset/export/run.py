@@ -128,7 +128,7 @@ def export_dataset(
     _check_options(options, format_name)
     dataset = open_dataset(folder)
     read_info(dataset)
-    selection = _make_selection(options, export_format, fruit_name(dataset.info))
+    selection = _make_selection(options, export_format, dataset.info)
     indices = _select_frames(dataset, frames)
     members = read_splits(split, dataset.info["recipe"]["plan"], indices).members(indices)
     for name in members:
@@ -168,13 +168,17 @@ def _check_options(options: Mapping[str, Any], format_name: str) -> None:
             raise ArgumentError(name, f"{options[name]:g} must be 0 to 1")
 
 
-def _make_selection(options: Mapping[str, Any], export_format: ExportFormat, fruit: str) -> Selection:
-    """The objects of an export from its valid options and the name of fruit."""
+def _make_selection(
+    options: Mapping[str, Any], export_format: ExportFormat, info: Mapping[str, Any]
+) -> Selection:
+    """The objects of an export from its valid options and the content of `dataset.json`."""
+    if export_format.smallest_px is None:
+        return Selection()
     classes, ripe_from = options["classes"], options["ripe_from"]
     classes = export_format.classes if classes is None else classes
     return Selection(
-        parse_categories(classes, ripe_from, fruit, export_format.has_background),
-        options["smallest_px"] or export_format.smallest_px or 1,
+        parse_categories(classes, ripe_from, fruit_name(info), export_format.has_background),
+        options["smallest_px"] or export_format.smallest_px,
         options["least_visible"] or 0,
         RIPE_FROM if ripe_from is None else ripe_from,
         options["truncated"] is None,

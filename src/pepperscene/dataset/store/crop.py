@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 from pepperscene.dataset.store.recorded_values import recorded_values
@@ -52,6 +53,7 @@ def _crop_of_cultivar(name: str) -> str:
     return name if species is None else _COMMON_NAMES.get(species, species)
 
 
+@lru_cache(maxsize=64)
 def _species(name: str) -> str | None:
     """The species of a shipped cultivar; None for others."""
     from pepperscene.cultivar import load_cultivar
