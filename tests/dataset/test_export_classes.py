@@ -251,6 +251,8 @@ WRONG = [
     ("pepper,green=pepper.unripe", "pepper is named twice, as a whole and divided by ripeness"),
     ("a=pepper.ripe,b=pepper.ripe", "pepper.ripe is named twice"),
     ("other=background+leaf", "'background' is none of leaf"),
+    ("background=leaf", "background is the name of all that is in no class; choose another"),
+    ("ripe=leaf,a=stem,ripe=cut", "the class ripe is named twice"),
     ("a=leaf=stem", "'leaf=stem' is none of leaf"),
     ("a=leaf+", "'' is none of leaf"),
 ]  # fmt: skip

@@ -106,13 +106,23 @@ def parse_categories(
             categories += [Category(f"unripe {label}", frozenset({_UNRIPE}))]
         else:
             categories.append(Category(label, parts))
-    labels = [category.name for category in categories]
-    if repeated := next((label for label in labels if labels.count(label) > 1), ""):
-        raise ArgumentError("classes", f"the class {repeated} is named twice")
+    _check_names(categories)
     if ripe_from is not None and not _is_divided(categories):
         allowed = "needs pepper as a class of its own, or pepper.ripe and pepper.unripe, in --classes"
         raise ArgumentError("ripe_from", allowed)
     return tuple(categories)
+
+
+def _check_names(categories: Sequence[Category]) -> None:
+    """Raise `ArgumentError` for a name that occurs twice or is that of what is in no category."""
+    names = [category.name for category in categories]
+    for category in categories:
+        if names.count(category.name) > 1:
+            raise ArgumentError("classes", f"the class {category.name} is named twice")
+        if category.name == "background" and int(OrganClass.BACKGROUND) not in category.parts:
+            raise ArgumentError(
+                "classes", "background is the name of all that is in no class; choose another"
+            )
 
 
 def _is_divided(categories: Sequence[Category]) -> bool:
