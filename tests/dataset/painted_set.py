@@ -109,7 +109,7 @@ def harvest(rng, visible, fruit_masks):
             "truncated": False, "amodal": encode_rle(mask), "pose": np.eye(4).tolist(), "occluders": [],
             "peduncle": {"instance": 7, "cut": cut} if k % 3 else None,
             "stalk_end": end_point(ends, k % 5), "blossom_end": end_point(ends, k % 3),
-            "box_3d": {"centre": [0.03, -0.04, 0.4 + 0.01 * k]},
+            "box_3d": {"centre": [0.03, -0.04, 0.4 + 0.01 * k], "size": [0.07, 0.07, 0.08]},
             "box": None, "amodal_box": [0, 0, 1, 1], "approach": None,
         })  # fmt: skip
     return {"format": "pepperscene harvest 1", "fruit": fruit, "graph": {"nodes": [], "edges": []}}
