@@ -1,4 +1,4 @@
-"""The eight classes of the published data set: ids, names and colours.
+"""The eight classes of the published data set: ids, names, colours, and the notation that merges them.
 
 Source: layout of doi 10.4121/uuid:884958f5-b868-46e1-b3d8-a0b5d91b02c0; the colours are those of a public
 reader of that data set.
@@ -6,9 +6,13 @@ reader of that data set.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
+
+from pepperscene.errors import ArgumentError
 
 
 class OrganClass(IntEnum):
@@ -42,6 +46,44 @@ IGNORE_CLASS: Final = 255
 
 IGNORE_COLOUR: Final[tuple[int, int, int]] = (128, 128, 128)
 """8-bit RGB of `IGNORE_CLASS`. Chosen: a grey, far from the colours of all classes."""
+
+
+_CLASS_NAME: Final = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
+
+
+def parse_class_mapping(
+    text: str, members: Collection[str], where: str = "classes"
+) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Parse the notation that chooses, merges and renames classes: "fruit=pepper,stalk=peduncle+stem,leaf".
+
+    Args:
+        text: comma-separated classes, each a member or `name=member+member`.
+        members: what a class can consist of, such as the names of organ classes.
+        where: name of the argument, for messages.
+
+    Returns:
+        The name of each class, or "" if none is given, and its members.
+
+    Raises:
+        ArgumentError: a name is not valid, a member is unknown, or either occurs twice.
+    """
+    classes: list[tuple[str, tuple[str, ...]]] = []
+    found: set[str] = set()
+    for part in (part.strip() for part in text.split(",")):
+        name, _, joined = (piece.strip() for piece in part.partition("="))
+        if not _CLASS_NAME.fullmatch(name) and (joined or name not in members):
+            raise ArgumentError(where, f"a class is named in lower-case letters, digits and _, not {name!r}")
+        parts = tuple(member.strip() for member in (joined or name).split("+"))
+        for member in parts:
+            if member not in members:
+                raise ArgumentError(where, f"{member!r} is none of {', '.join(members)}")
+            if member in found:
+                raise ArgumentError(where, f"{member} is named twice")
+            found.add(member)
+        if name in (other or own[0] for other, own in classes):
+            raise ArgumentError(where, f"the class {name} is named twice")
+        classes.append((name if joined else "", parts))
+    return tuple(classes)
 
 
 @dataclass(frozen=True)

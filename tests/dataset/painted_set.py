@@ -95,7 +95,7 @@ def paint(rng):
 
 def harvest(rng, visible, fruit_masks):
     """The output `harvest` of all visible fruit, every third one without a peduncle."""
-    fruit = []
+    fruit, ends = [], np.random.default_rng(len(visible))
     for k, (value, mask) in enumerate(sorted(fruit_masks.items())):
         if value not in visible:
             continue
@@ -108,14 +108,22 @@ def harvest(rng, visible, fruit_masks):
             "amodal_pixels": int(mask.sum()), "visible_fraction": entry["pixels"] / int(mask.sum()),
             "truncated": False, "amodal": encode_rle(mask), "pose": np.eye(4).tolist(), "occluders": [],
             "peduncle": {"instance": 7, "cut": cut} if k % 3 else None,
+            "stalk_end": end_point(ends, k % 5), "blossom_end": end_point(ends, k % 3),
+            "box_3d": {"centre": [0.03, -0.04, 0.4 + 0.01 * k], "size": [0.07, 0.07, 0.08]},
             "box": None, "amodal_box": [0, 0, 1, 1], "approach": None,
         })  # fmt: skip
     return {"format": "pepperscene harvest 1", "fruit": fruit, "graph": {"nodes": [], "edges": []}}
 
 
-def make_painted_set(folder, outputs=ALL, frames=FRAMES):
+def end_point(rng, kind):
+    """An end of a fruit: outside the image, visible or hidden."""
+    px = None if kind == 0 else (rng.uniform(0, 1, 2) * SIZE[::-1]).round(3).tolist()
+    return {"camera_m": [0.0, 0.0, 0.4], "px": px, "visible": kind == 1}
+
+
+def make_painted_set(folder, outputs=ALL, frames=FRAMES, painter=Painter, changes=None):
     """Frames of two sets of plants."""
-    return set_without_plants(folder, frames, outputs, Painter)
+    return set_without_plants(folder, frames, outputs, painter, changes)
 
 
 def _draw(function, *arguments):

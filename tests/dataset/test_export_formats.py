@@ -17,7 +17,10 @@ from pepperscene.dataset.export.run import new_folder
 from pepperscene.errors import InputError, OutputError, SetupError
 
 every_format = pytest.mark.parametrize("format_name", FORMATS)
-NEEDED = {"published": "class", "coco": "instance", "yolo": "instance"}
+NEEDED = {
+    "published": "class", "semantic": "class",
+    **dict.fromkeys(("coco", "yolo", "yolo_detect", "yolo_pose"), "instance"),
+}  # fmt: skip
 
 
 @every_format

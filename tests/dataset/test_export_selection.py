@@ -122,9 +122,9 @@ def test_fruit_of_unknown_ripeness_is_a_crowd_of_both_categories(painted, tmp_pa
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"classes": "fruit"}, "'fruit' is not an organ class"),
-        ({"classes": "background"}, "allowed are leaf, pepper"),
-        ({"classes": "leaf,leaf"}, "each class once"),
+        ({"classes": "fruit"}, "'fruit' is none of leaf, pepper"),
+        ({"classes": "background"}, "'background' is none of leaf"),
+        ({"classes": "leaf,leaf"}, "leaf is named twice"),
         ({"least_visible": 1.5}, "least_visible: 1.5 must be 0 to 1"),
         ({"ripe_from": -0.1}, "ripe_from: -0.1 must be 0 to 1"),
     ],

@@ -5,8 +5,11 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from pepperscene.cli import app
 from pepperscene.dataset.export import Splits, read_splits, split_by_sets
+from pepperscene.dataset.export.splits import shared_plants
 from pepperscene.errors import InputError
 
 PLAN = {"sets": 6, "rotations": 7, "frames": 250}
@@ -112,3 +115,78 @@ def test_rejects_more_splits_than_frames():
         split_by_sets(PLAN, {"train": 0.5, "val": 0.5}, [7])
     with pytest.raises(ValueError, match="sum to 1"):
         split_by_sets(PLAN, {"train": 0.5})
+
+
+@given(split_cases(), st.integers(1, 3), st.integers(1, 3))
+def test_fractions_never_divide_a_moment_and_a_warning_names_shared_plants(case, twins, cameras):
+    plan, moments, fractions = case
+    plan = {**plan, "twins": twins, "cameras": cameras}
+    # All frames of these moments exist; the twins of a scene follow each other, and the cameras of a frame.
+    views = {}
+    for moment in moments:
+        scene, step = divmod(moment, plan["frames"])
+        for twin in range(twins):
+            first = ((scene * twins + twin) * plan["frames"] + step) * cameras
+            views |= dict.fromkeys(range(first, first + cameras), moment)
+    existing = sorted(views)
+    text = ",".join(f"{name}={fraction:.9f}" for name, fraction in fractions.items())
+    members = read_splits(text, plan, existing).members(existing)
+    assert sorted(index for indices in members.values() for index in indices) == existing
+    seen = {name: {views[index] for index in indices} for name, indices in members.items()}
+
+    # The warning agrees with a count of its own: moments, scenes and sets of plants, by split.
+    scenes = {name: {moment // plan["frames"] for moment in found} for name, found in seen.items()}
+    sets = {name: {scene // plan["rotations"] for scene in found} for name, found in scenes.items()}
+
+    def is_shared(units):
+        return len(set().union(*units.values())) < sum(map(len, units.values()))
+
+    assert not is_shared(seen)
+    warning = shared_plants(members, plan)
+    assert bool(warning) == is_shared(sets)
+    assert ("from other places" in warning) == is_shared(scenes)
+    if len(set().union(*sets.values())) >= len(fractions):
+        assert warning == ""
+
+
+@pytest.mark.parametrize(
+    ("members", "warning"),
+    [
+        ({"train": range(500), "val": range(1750, 1800)}, ""),
+        ({"train": range(1750)}, ""),
+        (
+            {"train": range(200), "val": range(200, 250)},
+            "train and val show the same plants from other places: 2 splits of 1 set of plants;"
+            " more sets separate them",
+        ),
+        (
+            {"train": range(250), "val": range(250, 500)},
+            "train and val show the same plants in another order: 2 splits of 1 set of plants;"
+            " more sets separate them",
+        ),
+        (
+            {"train": range(1750), "val": range(1700, 1760), "test": range(3500, 3600)},
+            "train and val show the same plants from other places: 3 splits of 3 sets of plants;"
+            " fractions keep them apart",
+        ),
+    ],
+)
+def test_warning_says_which_splits_share_plants_and_what_helps(members, warning):
+    assert shared_plants(members, PLAN) == warning
+
+
+@pytest.mark.parametrize(
+    ("split", "warning"),
+    [
+        ("train=0:4,val=4:12", "train and val show the same plants in another order"),
+        ("train=.5,val=.5", ""),
+        ("train=1", ""),
+    ],
+)
+def test_command_prints_the_warning(split, warning, painted, tmp_path):
+    command = ["export", str(painted.folder), "--format", "yolo_detect", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, [*command, "--split", split])
+    assert done.exit_code == 0
+    lines = [line for line in done.stderr.splitlines() if "warning" in line]
+    assert len(lines) == bool(warning)
+    assert all(line.startswith(f"warning: {warning}") for line in lines)

@@ -229,6 +229,25 @@ def test_yolo_writes_masks_of_ignored_pixels_and_no_objects_there(ignoring, regi
             assert not region[rows, columns].any()
 
 
+def test_boxes_come_with_masks_of_ignored_pixels_too(ignoring, region, tmp_path):
+    out = export_dataset(ignoring.folder, "yolo_detect", tmp_path / "out").folder
+    for index in FRAMES:
+        mask = read_image(out / "ignore" / "train" / f"{index:06d}.png")
+        np.testing.assert_array_equal(mask, np.where(region, 255, 0))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"classes": "other=background+leaf,fruit=pepper"}, {"smallest_px": 9}]
+)
+def test_semantic_masks_ignore_them(ignoring, region, tmp_path, options):
+    out = export_dataset(ignoring.folder, "semantic", tmp_path / "out", **options).folder
+    for index in FRAMES:
+        mask = read_image(out / "masks" / "train" / f"{index:06d}.png")
+        assert (mask[region] == IGNORE_CLASS).all()
+        if not options:
+            np.testing.assert_array_equal(mask, ignoring.image(index, "class"))
+
+
 def test_yolo_has_no_masks_without_ignored_pixels(painted, tmp_path):
     pytest.importorskip("cv2")
     out = export_dataset(painted.folder, "yolo", tmp_path / "out").folder

@@ -87,6 +87,8 @@ class TwoFruit:
             "pose": np.eye(4).tolist(), "occluders": [{"instance": 7, "pixels": 8}],
             "peduncle": {"instance": 7, "cut": cut}, "box": [3, 2, 9, 8], "amodal_box": [3, 2, 9, 8],
             "approach": {"camera": [0.0, 0.0, 1.0]},
+            "box_3d": {"centre": [0.0, 0.0, 0.4], "size": [0.1, 0.1, 0.1]},
+            "stalk_end": cut, "blossom_end": {**cut, "px": None},
         }  # fmt: skip
 
 

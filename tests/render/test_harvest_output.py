@@ -79,7 +79,8 @@ def test_fruit_hidden_by_a_board_keep_their_truth(plant, frame):
             assert fruit[key] == visible[key]
         assert (fruit["box"], fruit["visible_pixels"], fruit["visible_fraction"]) == (None, 0, 0.0)
         assert fruit["occluders"] == [{"instance": number, "pixels": fruit["amodal_pixels"]}]
-        assert not fruit["peduncle"]["cut"]["visible"]
+        for point in (fruit["peduncle"]["cut"], fruit["stalk_end"], fruit["blossom_end"]):
+            assert not point["visible"]
         assert fruit["peduncle"]["cut"]["world_m"] == visible["peduncle"]["cut"]["world_m"]
     assert all(node["pixels"] == 0 for node in hidden["graph"]["nodes"])
 
@@ -99,6 +100,45 @@ def test_camera_and_world_coordinates_agree(plant, frame):
         assert np.linalg.norm(stalk["curve_m"][-1] - foot) < 0.08 * fruit["diameter_m"] + 1e-4
         approach = fruit["approach"]
         np.testing.assert_allclose(view.pose[:3, :3] @ approach["camera"], approach["world"], atol=1e-8)
+
+
+def test_ends_of_a_fruit_are_points_of_its_mesh(plant, scene, frame):
+    view = aisle_camera(plant)
+    for fruit in frame["harvest"]["fruit"]:
+        mesh = scene.mesh.select_instances([fruit["instance"] - 1])
+        calyx = scene.mesh.instances[fruit["instance"] - 1].parent + 1
+        owners = {
+            "stalk_end": {fruit["instance"], calyx, fruit["peduncle"]["instance"]},
+            "blossom_end": {fruit["instance"]},
+        }
+        # The poles of the skin: surface coordinate 0 where the stalk meets the fruit, 1 at the other end.
+        for name, v in (("stalk_end", 0.0), ("blossom_end", 1.0)):
+            (pole,) = mesh.vertices[mesh.uv[:, 1] == v]
+            point = fruit[name]
+            np.testing.assert_allclose(point["world_m"], pole, atol=2e-6)
+            np.testing.assert_allclose(
+                view.pose[:3, :3] @ point["camera_m"] + view.pose[:3, 3], pole, atol=2e-6
+            )
+            column, row = pixel = view.project(pole[None].astype(float))[0]
+            inside = 0 <= column < view.width and 0 <= row < view.height
+            assert (point["px"] is not None) == inside
+            if inside:
+                np.testing.assert_allclose(point["px"], pixel, atol=0.05)
+            if point["visible"]:
+                assert int(frame["instance"][int(row), int(column)]) in owners[name]
+        np.testing.assert_allclose(fruit["stalk_end"]["camera_m"], np.array(fruit["pose"])[:3, 3], atol=2e-6)
+
+
+def test_camera_below_a_fruit_sees_its_blossom_end_and_not_its_stalk_end(plant):
+    fruit = max(plant.of_form("fruit"), key=lambda organ: organ.measures["diameter_m"])
+    scene = assemble_scene(mesh_plant(plant, 0.5), skeleton=build_skeleton([plant]))
+    index = next(i for i, organ in enumerate(plant.organs) if organ is fruit)
+    axis = (fruit.curve[-1] - fruit.curve[0]) / np.linalg.norm(fruit.curve[-1] - fruit.curve[0])
+    view = aisle_camera(plant).at_pose(look_at(fruit.curve[-1] + 0.1 * axis, fruit.curve[-1]))
+    entries = Renderer(scene).render(view, OUTPUTS)["harvest"]["fruit"]
+    (entry,) = [one for one in entries if one["instance"] == index + 1]
+    assert entry["blossom_end"]["visible"]
+    assert not entry["stalk_end"]["visible"]
 
 
 def test_stalks_are_cut_in_the_furrow_above_their_collar():

@@ -101,7 +101,11 @@ def export(
     folder: FolderArgument,
     form: Annotated[
         str,
-        typer.Option("--format", metavar="NAME", help="published, coco, yolo, webdataset or huggingface."),
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help="published, coco, yolo, yolo_detect, yolo_pose, semantic, webdataset or huggingface.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],
     split: Annotated[
@@ -117,19 +121,32 @@ def export(
     ] = None,
     smallest: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Minimum visible pixels of an object. Default: coco 1, yolo 12."),
+        typer.Option(
+            metavar="N", help="Minimum visible pixels of an object. Default: yolo formats 12, others 1."
+        ),
     ] = None,
     classes: Annotated[
         str | None,
-        typer.Option(metavar="TEXT", help="Classes of objects, in order (pepper,leaf). Default: all."),
+        typer.Option(
+            metavar="TEXT",
+            help="Classes of objects, in order; merges and renames (fruit=pepper,stalk=peduncle+stem,leaf). "
+            "pepper.ripe and pepper.unripe divide fruit. Default: all; yolo_pose pepper.",
+        ),
     ] = None,
     min_visibility: Annotated[
         float | None, typer.Option(metavar="F", help="Minimum visible fraction of a fruit (needs harvest).")
     ] = None,
     ripe: Annotated[
         float | None,
-        typer.Option(metavar="F", help="Ripeness that divides fruit into two categories (needs harvest)."),
+        typer.Option(
+            metavar="F",
+            help="Ripeness from which fruit is ripe (needs harvest); divides the class pepper. Default: 0.5 "
+            "for pepper.ripe and pepper.unripe.",
+        ),
     ] = None,
+    truncated: Annotated[
+        str, typer.Option(metavar="keep|drop", help="Objects that the image border may cut.")
+    ] = "keep",
 ) -> None:
     """Export a data set to a format that training code reads."""
     from pepperscene.dataset import export_dataset
@@ -146,9 +163,12 @@ def export(
             classes=classes,
             least_visible=min_visibility,
             ripe_from=ripe,
+            truncated=truncated,
         )
     parts = ", ".join(f"{count} {name}" for name, count in result.splits.items())
     typer.echo(f"{result.frames} frame{'' if result.frames == 1 else 's'} as {form} ({parts}): {out}")
+    if result.warning:
+        echo_progress(f"warning: {result.warning}")
 
 
 @app.command()

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, OrganClass
+from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, OrganClass, parse_class_mapping
 from pepperscene.errors import ArgumentError, InputError
 
 FRUIT_CLASSES: Final = "other=background+leaf+stem+shoot+wire+cut,fruit=pepper,peduncle"
 """Classes of photographs whose masks know fruit and peduncles only."""
 
-_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
 _IDS: Final = {organ.name.lower(): int(organ) for organ in OrganClass}
 
 
@@ -42,8 +40,8 @@ class ClassTable:
         """Read a table from text.
 
         Args:
-            text: comma-separated classes, each the name of an organ class or `name=organ+organ`; organ
-                classes that do not occur are dropped. None for all eight.
+            text: as `parse_class_mapping` reads it, of organ classes; those that do not occur are dropped.
+                None for all eight.
             where: name of the argument, for messages.
 
         Raises:
@@ -51,27 +49,11 @@ class ClassTable:
         """
         if text is None:
             return cls.organs()
-        names: list[str] = []
-        members: list[frozenset[int]] = []
-        for part in (part.strip() for part in text.split(",")):
-            name, _, organs = (piece.strip() for piece in part.partition("="))
-            if not _NAME.fullmatch(name):
-                raise ArgumentError(
-                    where, f"a class is named in lower-case letters, digits and _, not {name!r}"
-                )
-            parts = [organ.strip() for organ in (organs or name).split("+")]
-            for organ in parts:
-                if organ not in _IDS:
-                    raise ArgumentError(where, f"{organ!r} is none of {', '.join(_IDS)}")
-                if parts.count(organ) > 1 or any(_IDS[organ] in ids for ids in members):
-                    raise ArgumentError(where, f"{organ} is named twice")
-            if name in names:
-                raise ArgumentError(where, f"the class {name} is named twice")
-            names.append(name)
-            members.append(frozenset(_IDS[organ] for organ in parts))
+        classes = parse_class_mapping(text, tuple(_IDS), where)
+        names = tuple(name or organs[0] for name, organs in classes)
         if len(names) < 2:
             raise ArgumentError(where, f"there must be two classes or more, not {len(names)}")
-        return cls(tuple(names), tuple(members))
+        return cls(names, tuple(frozenset(_IDS[organ] for organ in organs) for _, organs in classes))
 
     def __len__(self) -> int:
         return len(self.names)

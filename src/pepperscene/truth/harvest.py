@@ -26,6 +26,9 @@ FloatArray = NDArray[np.float64]
 _VISIBLE_DEPTH: Final = 3.0
 """Largest distance, in radii of the stalk, between its centreline and the surface in front of it at which a
 point counts as visible. Chosen: a tube seen at 20 degrees to its axis has its surface that far in front."""
+_SKIN_DEPTH: Final = 0.05
+"""Largest difference, over the fruit's diameter, between the distances of a point of its skin and of the
+surface at its pixel's centre. Chosen: skin seen at 10 degrees by a pixel of half a millimetre spans 3 mm."""
 _CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
 
 
@@ -39,6 +42,7 @@ class FruitTruth:
         pose: `(4, 4)` fruit to world: from its stalk end, x to its upper side, y right, z along its axis.
         low, high: `(3,)` its bounding box, in those axes.
         measures: `ripeness`, `ripeness_spread`, `length_m`, `diameter_m`.
+        blossom_end: `(3,)` the point of its skin opposite the stalk, in world metres.
         lineage: indices of the organs from itself down to the main stem.
         stalk: the stalk that it is harvested with, or None.
         approach: the tool's approach to it, or None.
@@ -50,6 +54,7 @@ class FruitTruth:
     low: FloatArray
     high: FloatArray
     measures: dict[str, float]
+    blossom_end: FloatArray
     lineage: tuple[int, ...]
     stalk: FruitStalk | None
     approach: Approach | None
@@ -143,15 +148,24 @@ def organ_graph(
 
 
 def _projected_points(fruit: FruitTruth) -> FloatArray:
-    """`(n, 3)` world points whose pixel coordinates are given: corners of the box, attachment and cut."""
+    """`(n, 3)` world points whose pixel coordinates are given.
+
+    Corners of the box, stalk end, blossom end, and if there is a stalk, its attachment and cut.
+    """
     centre = fruit.pose[:3, 3] + fruit.pose[:3, :3] @ (0.5 * (fruit.low + fruit.high))
     corners = centre + (_CORNERS * (fruit.high - fruit.low)) @ fruit.pose[:3, :3].T
-    return corners if fruit.stalk is None else np.vstack([corners, fruit.stalk.attachment, fruit.stalk.cut])
+    points = np.vstack([corners, fruit.pose[:3, 3], fruit.blossom_end])
+    return points if fruit.stalk is None else np.vstack([points, fruit.stalk.attachment, fruit.stalk.cut])
 
 
 def _fruit_entry(fruit: FruitTruth, amodal: AmodalMask, view: LabelView, px: FloatArray) -> dict[str, Any]:
     """The entry of one fruit, with the pixel coordinates of its `_projected_points`."""
     stalk, approach = fruit.stalk, fruit.approach
+    corners, (stalk_end, blossom_end), stalk_px = np.split(px, [len(_CORNERS), len(_CORNERS) + 2])
+    skin_depth = _SKIN_DEPTH * fruit.measures["diameter_m"]
+    # The end of the stalk covers the point where the two meet, and the calyx is around it.
+    around = fruit.lineage[: fruit.lineage.index(stalk.instance) + 1] if stalk else fruit.lineage[:1]
+    stalk_depth = _VISIBLE_DEPTH * stalk.radius_m if stalk else skin_depth
     return {
         "instance": fruit.index + 1,
         "plant": fruit.instance.plant,
@@ -160,8 +174,10 @@ def _fruit_entry(fruit: FruitTruth, amodal: AmodalMask, view: LabelView, px: Flo
         **{name: _rounded(value) for name, value in fruit.measures.items()},
         "pose": _camera_pose(fruit, view),
         **_visibility(fruit, amodal, view),
-        "box_3d": _box_3d(fruit, view, px[: len(_CORNERS)]),
-        "peduncle": None if stalk is None else _stalk_entry(stalk, view, *px[len(_CORNERS) :]),
+        "box_3d": _box_3d(fruit, view, corners),
+        "stalk_end": _point_entry(fruit.pose[:3, 3], stalk_end, around, stalk_depth, view),
+        "blossom_end": _point_entry(fruit.blossom_end, blossom_end, (fruit.index,), skin_depth, view),
+        "peduncle": None if stalk is None else _stalk_entry(stalk, view, *stalk_px),
         "approach": None if approach is None else _approach_entry(approach, view),
     }
 
@@ -220,31 +236,31 @@ def _stalk_entry(
 ) -> dict[str, Any]:
     """The fruit's stalk, with the pixel coordinates of its attachment and its cut."""
     # At the attachment, the stalk's parent may be in front of the centreline too.
-    both = (stalk.instance, stalk.parent)
+    both, depth = (stalk.instance, stalk.parent), _VISIBLE_DEPTH * stalk.radius_m
     return {
         "instance": stalk.instance + 1,
         "length_m": _rounded(stalk.length_m),
         "radius_m": _rounded(stalk.radius_m),
         "curve_m": _lists(view.points(stalk.curve)),
-        "attachment": _point_entry(stalk.attachment, attachment, both, stalk.radius_m, view),
+        "attachment": _point_entry(stalk.attachment, attachment, both, depth, view),
         "cut": {
-            **_point_entry(stalk.cut, cut, both[:1], stalk.radius_m, view),
+            **_point_entry(stalk.cut, cut, both[:1], depth, view),
             "tangent": _lists(view.rotation @ stalk.tangent, 9),
         },
     }
 
 
 def _point_entry(
-    point: FloatArray, px: FloatArray, organs: Sequence[int], radius_m: float, view: LabelView
+    point: FloatArray, px: FloatArray, organs: Sequence[int], depth_m: float, view: LabelView
 ) -> dict[str, Any]:
-    """A point of a stalk's centreline; visible if its pixel shows one of the organs right in front of it."""
+    """A point of a stalk or a fruit; visible if its pixel shows one of the organs within a depth of it."""
     # Comparisons with nan are false.
     inside = bool((px >= 0.0).all() and (px < [view.camera.width, view.camera.height]).all())
     visible = False
     if inside:
         row, column = int(px[1]), int(px[0])
         depth = float(view.distance[row, column]) - view.distance_to(point, row)
-        visible = int(view.instance[row, column]) - 1 in organs and abs(depth) <= _VISIBLE_DEPTH * radius_m
+        visible = int(view.instance[row, column]) - 1 in organs and abs(depth) <= depth_m
     return {
         "camera_m": _lists(view.points(point)),
         "world_m": _lists(point),

@@ -16,12 +16,15 @@ import numpy as np
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.export.coco_segments import Segment, find_segments, json_mask
 from pepperscene.dataset.export.job import IGNORED, REST, ExportFrame, ExportJob, import_library
-from pepperscene.dataset.export.selection import UNRIPE_CATEGORY, Category
+from pepperscene.dataset.export.keypoints import KEYPOINTS, SKELETON, fruit_keypoints
+from pepperscene.dataset.export.selection import Category
 from pepperscene.dataset.store.crop import crop_name
 from pepperscene.dataset.store.images import png_bytes
 
 _CENTRE: Final = 0.5
 """Coordinate of the first pixel's centre here; in COCO's keypoints it is 0."""
+
+_METRE_DECIMALS: Final = 6  # as in the harvest truth
 
 _VARIATION_KEYS: Final = ("moment", "twin", "rig_camera", "drawn")
 """Keys of a frame's JSON that only recipes with variation, twins or a rig have."""
@@ -33,9 +36,10 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     """Write `train/000110.png`, `annotations/instances_train.json` and `panoptic_train.json` per split.
 
     An annotation is one organ of a plant. The rest of each class (see `ExportFrame.segment_ids`) is one
-    annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids; if ripe and unripe
-    fruit are two categories, the rest of the fruit is a crowd of both, and void in panoptic images. If all
-    frames have the output harvest, fruit get amodal masks and cut points.
+    annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids, of a merged category
+    the lowest one; if ripe and unripe fruit are two categories, the rest of the fruit is a crowd of both, and
+    void in panoptic images. If all frames have the output harvest, fruit get amodal masks, poses and
+    keypoints.
 
     The ignored pixels of a frame are one more annotation with `iscrowd` 1 in each category, all with the same
     mask, because evaluation compares only within a category. In panoptic images they are 0: void.
@@ -46,7 +50,7 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     thing_categories = [_category_record(category, crop) for category in job.selection.categories]
     # COCO declares keypoints per category, so either all frames have them or none.
     harvest = bool(job.common_outputs(["harvest"]))
-    background = Category(int(OrganClass.BACKGROUND), "background", OrganClass.BACKGROUND)
+    background = Category("background", frozenset({int(OrganClass.BACKGROUND)}))
     segmented = [
         {
             **_category_record(category, crop),
@@ -57,8 +61,8 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     ]
     if harvest:
         for record, category in zip(thing_categories, job.selection.categories, strict=True):
-            if category.organ_class == OrganClass.PEPPER:
-                record |= {"keypoints": ["cut"], "skeleton": []}
+            if category.has_fruit:
+                record |= {"keypoints": KEYPOINTS, "skeleton": SKELETON}
     for split, frames in job.frames_by_split():
         images, panoptic_images = folder / split, annotations / f"panoptic_{split}"
         images.mkdir()
@@ -124,7 +128,7 @@ def _category_record(category: Category, crop: str) -> dict[str, Any]:
 def _panoptic_colour(category: Category) -> list[int]:
     """The class colour; half of it for unripe fruit, so that no two categories have the same colour."""
     colour = CLASS_COLOURS[category.organ_class]
-    return [value // 2 for value in colour] if category.id == UNRIPE_CATEGORY else list(colour)
+    return [value // 2 for value in colour] if category.is_unripe else list(colour)
 
 
 def _image_record(frame: ExportFrame, shape: tuple[int, ...]) -> dict[str, Any]:
@@ -169,9 +173,9 @@ def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: 
             parent = _annotation_id(frame.index, entry["parent"]) if entry["parent"] in visible else None
             attributes = {key: entry[key] for key in ("kind", "plant", "phytomer", "far") if key in entry}
             record["attributes"] = {**attributes, "instance": segment.id, "parent": parent}
-        if harvest and segment.organ_class == OrganClass.PEPPER:
+        if harvest and segment.categories[0].has_fruit:
             known = fruit.get(segment.id, {})
-            record |= _keypoint((known.get("peduncle") or {}).get("cut"))
+            record |= _keypoints(known)
             if known:
                 record["attributes"] |= _fruit_attributes(known)
         records.append(record)
@@ -180,20 +184,30 @@ def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: 
 
 def _crowd_records(frame: ExportFrame, segment: Segment, harvest: bool) -> list[dict[str, Any]]:
     """A crowd annotation in each category that the rest of a class, or the ignored pixels, can have."""
-    first = IGNORED if segment.id == IGNORED else REST
     return [
         {
-            "id": _annotation_id(frame.index, first + category.id),
+            "id": _annotation_id(frame.index, _crowd_id(segment, category)),
             "image_id": frame.index,
             "category_id": category.id,
             "iscrowd": 1,
             "area": segment.area,
             "bbox": segment.box,
             "segmentation": segment.mask,
-            **(_keypoint(None) if harvest and category.organ_class == OrganClass.PEPPER else {}),
+            **(_keypoints({}) if harvest and category.has_fruit else {}),
         }
         for category in segment.categories
     ]
+
+
+def _crowd_id(segment: Segment, category: Category) -> int:
+    """Id above those of instances for the crowd of a segment and a category, unique in its image.
+
+    A merged category can have several: ripe fruit and peduncles as one, for example, a crowd of peduncles and
+    one of fruit of unknown ripeness.
+    """
+    if segment.id == IGNORED:
+        return IGNORED + category.id
+    return REST + 16 * ((segment.organ_class - category.organ_class) % len(OrganClass)) + category.id
 
 
 def _fruit_attributes(fruit: Mapping[str, Any]) -> dict[str, Any]:
@@ -205,15 +219,19 @@ def _fruit_attributes(fruit: Mapping[str, Any]) -> dict[str, Any]:
         "area": int(coder.area(mask)),
         "bbox": [int(value) for value in coder.toBbox(mask)],
     }
-    return {**{key: fruit[key] for key in _FRUIT_KEYS if key in fruit}, "amodal": amodal}
+    attributes = {key: fruit[key] for key in _FRUIT_KEYS if key in fruit}
+    if box := fruit.get("box_3d"):
+        attributes["distance_m"] = round(float(np.linalg.norm(box["centre"])), _METRE_DECIMALS)
+    return {**attributes, "pose": fruit["pose"], "amodal": amodal}
 
 
-def _keypoint(cut: Mapping[str, Any] | None) -> dict[str, Any]:
-    """COCO's `keypoints` of a cut: x, y, and 2 if it is visible, 1 if hidden, 0 if outside the image."""
-    if cut is None or cut["px"] is None:
-        return {"keypoints": [0, 0, 0], "num_keypoints": 0}
-    x, y = (round(value - _CENTRE, 2) for value in cut["px"])
-    return {"keypoints": [x, y, 2 if cut["visible"] else 1], "num_keypoints": 1}
+def _keypoints(fruit: Mapping[str, Any]) -> dict[str, Any]:
+    """COCO's `keypoints`, x, y and visibility of each in one list, of an entry in the harvest truth."""
+    flat: list[float] = []
+    points = fruit_keypoints(fruit)
+    for x, y, flag in points:
+        flat += (round(x - _CENTRE, 2), round(y - _CENTRE, 2), flag) if flag else (0, 0, 0)
+    return {"keypoints": flat, "num_keypoints": sum(flag > 0 for *_, flag in points)}
 
 
 def _panoptic_record(image: Mapping[str, Any], segments: Sequence[Segment]) -> dict[str, Any]:

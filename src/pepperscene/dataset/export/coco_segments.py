@@ -21,6 +21,7 @@ class Segment:
     id: int  # above 0, unique in its image
     organ_class: OrganClass  # the background for ignored pixels
     categories: tuple[Category, ...]  # one for an organ; all possible ones for other segments
+    is_void: bool  # whether panoptic images cannot show it, because it may be of several categories or none
     entry: Mapping[str, Any]  # of the instance in the frame's JSON; empty for the rest of a class
     mask: dict[str, Any]  # `size` (rows, columns) and `counts`, the run lengths as text
     area: int
@@ -30,11 +31,6 @@ class Segment:
     def is_crowd(self) -> bool:
         """Whether it is the rest of an organ's class."""
         return not self.entry and self.organ_class != OrganClass.BACKGROUND
-
-    @property
-    def is_void(self) -> bool:
-        """Whether panoptic images cannot show it, because it has no single category."""
-        return self.id == IGNORED or len(self.categories) > 1
 
 
 def find_segments(frame: ExportFrame, ids: NDArray[np.uint32], selection: Selection) -> list[Segment]:
@@ -50,26 +46,26 @@ def find_segments(frame: ExportFrame, ids: NDArray[np.uint32], selection: Select
     segments = []
     for (segment_id, runs), mask, box in zip(lengths.items(), masks, boxes, strict=True):
         entry = entries[str(segment_id)] if segment_id < REST else {}
-        organ_class, categories = _segment_categories(segment_id, entry, frame, selection)
+        organ_class, categories, is_void = _segment_categories(segment_id, entry, frame, selection)
         area = sum(runs[1::2])
         mask = json_mask(mask)
-        segments.append(Segment(segment_id, organ_class, categories, entry, mask, area, tuple(box)))
+        segments.append(Segment(segment_id, organ_class, categories, is_void, entry, mask, area, tuple(box)))
     return segments
 
 
 def _segment_categories(
     segment_id: int, entry: Mapping[str, Any], frame: ExportFrame, selection: Selection
-) -> tuple[OrganClass, tuple[Category, ...]]:
-    """`organ_class` and `categories` of a segment."""
+) -> tuple[OrganClass, tuple[Category, ...], bool]:
+    """`organ_class`, `categories` and `is_void` of a segment."""
     if segment_id == IGNORED:
-        return OrganClass.BACKGROUND, selection.categories
+        return OrganClass.BACKGROUND, selection.categories, True
     if not entry:
         rest = OrganClass(segment_id - REST)
-        return rest, selection.of_class(rest)
+        is_void = rest != OrganClass.BACKGROUND and selection.category(rest) is None
+        return rest, selection.possible(rest), is_void
     organ_class = OrganClass(entry["class"])
-    fruit = frame.fruit.get(segment_id) if selection.needs_harvest else None
-    category = selection.category(organ_class, fruit)
-    return organ_class, () if category is None else (category,)
+    category = selection.category(organ_class, frame.fruit_for(selection).get(segment_id))
+    return organ_class, () if category is None else (category,), False
 
 
 def segment_run_lengths(ids: NDArray[np.integer[Any]]) -> dict[int, list[int]]:

@@ -70,27 +70,47 @@ class ExportFrame:
             return {}
         return {entry["instance"]: entry for entry in self.image("harvest")["fruit"]}
 
+    def fruit_for(self, selection: Selection) -> dict[int, dict[str, Any]]:
+        """`fruit` if the objects of a selection depend on it, else nothing: the harvest truth is not read."""
+        return self.fruit if selection.needs_harvest or not selection.keep_truncated else {}
+
+    def objects(self, selection: Selection, instance: NDArray[np.uint16]) -> set[int]:
+        """The values of the instance image that are separate objects of a selection."""
+        fruit, at_border = self.fruit_for(selection), set[int]()
+        if not selection.keep_truncated:
+            border = (instance[0], instance[-1], instance[:, 0], instance[:, -1])
+            at_border = set(np.unique(np.concatenate(border)).tolist())
+        entries = {int(value): entry for value, entry in self.metadata["instances"].items()}
+        return {
+            value
+            for value, entry in entries.items()
+            if entry["class"] not in (OrganClass.BACKGROUND, IGNORE_CLASS)
+            and selection.is_object(entry, fruit.get(value), value in at_border)
+        }
+
     def segment_ids(self, selection: Selection) -> NDArray[np.uint32]:
         """Segment of every pixel, `(h, w)`, above 0.
 
-        An organ of a plant, of any class but the background, is one segment, whose id is its value in
-        the instance image. The rest of each class is the segment `REST` + class: what has an organ's class
-        but belongs to no plant (a wire of the whole row), and organs that are not separate objects of the
-        selection. Organs of classes that are not selected are part of the background. Ignored pixels are the
-        segment `IGNORED`.
+        An organ of a plant that is an object of the selection is one segment, whose id is its value in the
+        instance image. The rest of each class is the segment `REST` + class: what has an organ's class but
+        belongs to no plant (a wire of the whole row), and organs that are not separate objects. The rests of
+        classes with the same categories are one segment, with the first of these classes. Organs that are not
+        selected are part of the background. Ignored pixels are the segment `IGNORED`.
         """
-        # The harvest truth is read only if the objects depend on it.
-        fruit = self.fruit if selection.needs_harvest else {}
-        instance = self.image("instance")
+        fruit, instance = self.fruit_for(selection), self.image("instance")
+        objects = self.objects(selection, instance)
         table = np.zeros(REST, dtype=np.uint32)
         table[0] = REST
-        for value, entry in self.metadata["instances"].items():
-            organ_class = entry["class"]
-            if organ_class not in (*selection.classes, IGNORE_CLASS):
-                organ_class = OrganClass.BACKGROUND
-            is_organ = organ_class not in (OrganClass.BACKGROUND, IGNORE_CLASS)
-            keep = is_organ and selection.is_object(entry, fruit.get(int(value)))
-            table[int(value)] = int(value) if keep else REST + organ_class
+        for key, entry in self.metadata["instances"].items():
+            value, class_id = int(key), entry["class"]
+            if value in objects:
+                table[value] = value
+            elif class_id == IGNORE_CLASS:
+                table[value] = IGNORED
+            elif selection.possible(OrganClass(class_id), fruit.get(value)):
+                table[value] = REST + selection.rest_class[class_id]
+            else:
+                table[value] = REST
         ids = np.take(table, instance)
         if not ids.all():
             unknown = int(instance[ids == 0][0])

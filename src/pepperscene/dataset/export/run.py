@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from pepperscene.dataset.export.job import ExportJob, OnFrame, import_library
-from pepperscene.dataset.export.selection import Selection, parse_classes
-from pepperscene.dataset.export.splits import read_splits
+from pepperscene.dataset.export.selection import RIPE_FROM, Selection, parse_categories
+from pepperscene.dataset.export.splits import read_splits, shared_plants
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.store.atomic import check_can_create, make_folder, remove
+from pepperscene.dataset.store.crop import fruit_name
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.folder import LITTER
@@ -33,12 +34,14 @@ class ExportResult:
         frames: number of frames in it.
         files: number of files in it.
         splits: number of frames of each split.
+        warning: which splits show the same plants, and what separates them; "" if none do.
     """
 
     folder: Path
     frames: int
     files: int
     splits: Mapping[str, int]
+    warning: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,13 @@ class ExportFormat:
     library: str = ""  # module that the extra `export` installs
     smallest_px: int | None = None  # default of `export_dataset`; None for formats without objects
     reserved: tuple[str, ...] = ()  # names that no split may have: of other folders, or of other keys
+    classes: str | None = None  # default of `export_dataset`
+    has_background: bool = False  # whether the background can be a class
 
+
+KEEP: Final = "keep"
+DROP: Final = "drop"
+"""What is done with organs that the image border may cut."""
 
 _YOLO_KEYS: Final = (
     "channels", "download", "flip_idx", "kpt_names", "kpt_shape", "names", "nc", "path", "yaml_file",
@@ -62,6 +71,9 @@ FORMATS: Final = MappingProxyType(
         "coco": ExportFormat((("colour",), ("instance",)), "pycocotools.mask", 1, ("annotations",)),
         # Chosen: 12 pixels are less than one pixel of a network's masks, a quarter as wide as its input.
         "yolo": ExportFormat((("colour",), ("instance",)), "cv2", 12, _YOLO_KEYS),
+        "yolo_detect": ExportFormat((("colour",), ("instance",)), "", 12, _YOLO_KEYS),
+        "yolo_pose": ExportFormat((("colour",), ("instance",), ("harvest",)), "", 12, _YOLO_KEYS, "pepper"),
+        "semantic": ExportFormat((("colour",), ("class",)), "", 1, has_background=True),
         "webdataset": ExportFormat((("colour",), ("class",))),
         "huggingface": ExportFormat((("colour",), ("class",))),
     }
@@ -81,6 +93,7 @@ def export_dataset(
     classes: str | None = None,
     least_visible: float | None = None,
     ripe_from: float | None = None,
+    truncated: str = "keep",
 ) -> ExportResult:
     """Write a data set in another format.
 
@@ -93,12 +106,14 @@ def export_dataset(
         frames: "A:B", indices A to B - 1; None for all existing frames.
         on_frame: called after every frame with its index, the number of frames done, and that of all.
         smallest_px: visible pixels below which an organ is not a separate object; None for the default.
-        classes: "pepper,leaf", the organ classes that are exported as objects, in the order of their
-            categories; None for all.
+        classes: "fruit=pepper,stalk=peduncle+stem,leaf", the classes that are exported as objects, in their
+            order; see `parse_categories`. None for all organ classes; for yolo_pose, fruit.
         least_visible: visible fraction below which a fruit is not a separate object; needs the output
             harvest.
-        ripe_from: least ripeness of the category "ripe pepper"; fruit below it is "unripe pepper". None for
-            one category. Needs the output harvest.
+        ripe_from: least ripeness of ripe fruit. If it is given, a class of all fruit becomes two, such as
+            "ripe pepper" and "unripe pepper". None for one class, and for 0.5 if `classes` has `pepper.ripe`
+            or `pepper.unripe`. Ripeness needs the output harvest.
+        truncated: "keep", or "drop": an organ that the image border may cut is not a separate object.
 
     Raises:
         InputError: there is no data set or frame, an argument is invalid, an output missing, a file damaged.
@@ -108,21 +123,12 @@ def export_dataset(
     if format_name not in FORMATS:
         raise ArgumentError("format", f"unknown format {format_name!r}; allowed are {', '.join(FORMATS)}")
     export_format = FORMATS[format_name]
-    default_px = export_format.smallest_px
-    if smallest_px is not None and smallest_px < 1:
-        raise ArgumentError("smallest_px", f"{smallest_px} must be at least 1")
-    fractions = {"least_visible": least_visible, "ripe_from": ripe_from}
-    for name, value in {"smallest_px": smallest_px, "classes": classes, **fractions}.items():
-        if value is not None and default_px is None:
-            raise ArgumentError(name, f"{value} does not apply: {format_name} has no objects")
-    for name, fraction in fractions.items():
-        if fraction is not None and not 0 <= fraction <= 1:
-            raise ArgumentError(name, f"{fraction:g} must be 0 to 1")
-    selection = Selection(
-        parse_classes(classes), smallest_px or default_px or 1, least_visible or 0, ripe_from
-    )
+    options = {"smallest_px": smallest_px, "classes": classes, "least_visible": least_visible}
+    options |= {"ripe_from": ripe_from, "truncated": None if truncated == KEEP else truncated}
+    _check_options(options, format_name)
     dataset = open_dataset(folder)
     read_info(dataset)
+    selection = _make_selection(options, export_format, dataset.info)
     indices = _select_frames(dataset, frames)
     members = read_splits(split, dataset.info["recipe"]["plan"], indices).members(indices)
     for name in members:
@@ -135,13 +141,48 @@ def export_dataset(
     required = export_format.required
     if selection.needs_harvest:
         required = (*required, ("harvest",))
+    if selection.needs_organs:
+        required = (*required, ("instance",))
     _check_outputs(dataset, list(job.split_of), required)
     module = import_module(f"pepperscene.dataset.export.{format_name}")
     with new_folder(Path(out), dataset.folder) as temporary:
         getattr(module, f"write_{format_name}")(job, temporary)
         files = sum(path.is_file() for path in temporary.rglob("*"))
     counts = {name: len(members) for name, members in job.splits.items()}
-    return ExportResult(Path(out), len(job.split_of), files, counts)
+    warning = shared_plants(job.splits, dataset.info["recipe"]["plan"])
+    return ExportResult(Path(out), len(job.split_of), files, counts, warning)
+
+
+def _check_options(options: Mapping[str, Any], format_name: str) -> None:
+    """Raise `ArgumentError` if an option is not valid or does not apply to a format."""
+    smallest_px = options["smallest_px"]
+    if smallest_px is not None and smallest_px < 1:
+        raise ArgumentError("smallest_px", f"{smallest_px} must be at least 1")
+    if options["truncated"] not in (None, DROP):
+        raise ArgumentError("truncated", f"{options['truncated']!r} must be {KEEP} or {DROP}")
+    for name, value in options.items():
+        if value is not None and FORMATS[format_name].smallest_px is None:
+            raise ArgumentError(name, f"{value} does not apply: {format_name} has no objects")
+    for name in ("least_visible", "ripe_from"):
+        if options[name] is not None and not 0 <= options[name] <= 1:
+            raise ArgumentError(name, f"{options[name]:g} must be 0 to 1")
+
+
+def _make_selection(
+    options: Mapping[str, Any], export_format: ExportFormat, info: Mapping[str, Any]
+) -> Selection:
+    """The objects of an export from its valid options and the content of `dataset.json`."""
+    if export_format.smallest_px is None:
+        return Selection()
+    classes, ripe_from = options["classes"], options["ripe_from"]
+    classes = export_format.classes if classes is None else classes
+    return Selection(
+        parse_categories(classes, ripe_from, fruit_name(info), export_format.has_background),
+        options["smallest_px"] or export_format.smallest_px,
+        options["least_visible"] or 0,
+        RIPE_FROM if ripe_from is None else ripe_from,
+        options["truncated"] is None,
+    )
 
 
 def _select_frames(dataset: Dataset, frames: str | None) -> tuple[int, ...]:

@@ -126,6 +126,27 @@ def read_splits(text: str | None, plan: Mapping[str, Any], indices: Sequence[int
     return splits
 
 
+def shared_plants(members: Mapping[str, Sequence[int]], plan: Mapping[str, Any]) -> str:
+    """Which splits show the same plants, and what separates them, in one sentence; "" if none do.
+
+    Args:
+        members: the frames of each split.
+        plan: of the recipe in `dataset.json`.
+    """
+    whole_plan = _parse_plan(plan)
+    per_scene, per_set = whole_plan.frames, whole_plan.frames * whole_plan.rotations
+    moments_of = {name: moments(whole_plan, indices) for name, indices in members.items()}
+    for size, view in ((per_scene, "from other places"), (per_set, "in another order")):
+        units = {name: set((found // size).tolist()) for name, found in moments_of.items()}
+        for a, b in itertools.combinations(units, 2):
+            if units[a] & units[b]:
+                count = len(set().union(*(set((found // per_set).tolist()) for found in moments_of.values())))
+                remedy = "fractions keep them apart" if count >= len(members) else "more sets separate them"
+                problem = f"{a} and {b} show the same plants {view}: {len(members)} splits of {count}"
+                return f"{problem} set{'' if count == 1 else 's'} of plants; {remedy}"
+    return ""
+
+
 def _check_moments(members: Mapping[str, Sequence[int]], plan: Mapping[str, Any]) -> None:
     """Raise `ArgumentError` if frames of one moment, which show the same view, are in different splits."""
     whole_plan = _parse_plan(plan)

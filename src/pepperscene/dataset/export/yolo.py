@@ -5,7 +5,6 @@ Format: https://docs.ultralytics.com/datasets/segment/.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -13,11 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import IGNORE_CLASS, OrganClass
-from pepperscene.dataset.export.job import IGNORED, REST, ExportFrame, ExportJob, import_library
+from pepperscene.dataset.export.job import ExportFrame, ExportJob, import_library
 from pepperscene.dataset.export.selection import Selection
-from pepperscene.dataset.export.splits import DEFAULT_SPLIT
-from pepperscene.dataset.store.images import png_bytes
+from pepperscene.dataset.export.yolo_layout import DECIMALS, find_objects, write_yolo_layout
 
 Points = NDArray[np.int32]
 """`(n, 2)` column and row of pixels."""
@@ -31,80 +28,36 @@ MAX_BRIDGE_FRACTION: Final = 0.04
 MAX_BRIDGE_RATIO: Final = 1.0
 """Chosen: pixels of a bridge over those of the piece that it leads to."""
 
-_VALIDATION_NAMES: Final = ("val", "valid", "validation", "dev")
-_DECIMALS: Final = 6  # 1/200 of a pixel in images 5,000 pixels wide
-
 
 def write_yolo(job: ExportJob, folder: Path) -> None:
-    """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
+    """Write the files of `write_yolo_layout` with polygons.
 
     A line is an organ of a plant: the number of its category in the selection, and the pixel centres of its
     polygon over the width and height of the image. If all classes are selected and fruit is one category,
     the numbers are the class ids minus 1. What belongs to no plant, organs that are not objects and pieces
     below the selection's `smallest_px` are left out, as the format has no crowd.
-
-    The format has no ignored pixels either: if frames can have some, `ignore/train/000110.png` is 255 there
-    and 0 elsewhere, for training and evaluation code that reads it.
     """
-    data = _data_yaml(list(job.splits), job.selection)
-    (folder / "data.yaml").write_text(data, encoding="utf-8")
-    for split, frames in job.frames_by_split():
-        images, labels = folder / "images" / split, folder / "labels" / split
-        images.mkdir(parents=True)
-        labels.mkdir(parents=True)
-        if job.has_ignored_pixels:
-            (folder / "ignore" / split).mkdir(parents=True)
-        for frame in frames:
-            (images / f"{frame.name}.png").write_bytes(frame.content("colour"))
-            ids = frame.segment_ids(job.selection)
-            if job.has_ignored_pixels:
-                mask = np.where(ids == IGNORED, np.uint8(IGNORE_CLASS), np.uint8(0))
-                (folder / "ignore" / split / f"{frame.name}.png").write_bytes(png_bytes(mask))
-            lines = "".join(f"{line}\n" for line in _label_lines(frame, ids, job.selection))
-            (labels / f"{frame.name}.txt").write_text(lines, encoding="ascii")
+    write_yolo_layout(job, folder, _label_lines)
 
 
-def _data_yaml(splits: Sequence[str], selection: Selection) -> str:
-    """`data.yaml`, with paths relative to its folder; readers require both `train` and `val`."""
-    folders = {split: f"images/{split}" for split in splits}
-    validation = next((name for name in _VALIDATION_NAMES if name in splits), splits[0])
-    for name, substitute in ((DEFAULT_SPLIT, splits[0]), ("val", validation)):
-        folders.setdefault(name, f"images/{substitute}  # there is no split of this name")
-    classes = [f"  {number}: {category.name}" for number, category in enumerate(selection.categories)]
-    # Keys in quotes: `no`, `on` and `null` are not text in YAML.
-    paths = [f'"{name}": {path}' for name, path in folders.items()]
-    return "\n".join([*paths, "names:", *classes]) + "\n"
-
-
-def _label_lines(frame: ExportFrame, ids: NDArray[np.uint32], selection: Selection) -> list[str]:
+def _label_lines(frame: ExportFrame, selection: Selection, ids: NDArray[np.uint32]) -> list[str]:
     """The lines of the label file of a frame with its `segment_ids`, by ascending instance."""
-    from scipy import ndimage
-
-    numbers = {category.id: number for number, category in enumerate(selection.categories)}
     height, width = ids.shape
     xs, ys = _pixel_centres(width), _pixel_centres(height)
-    fruit = frame.fruit if selection.needs_harvest else {}
     lines = []
-    for value, window in enumerate(ndimage.find_objects(ids.astype("int32"), max_label=REST - 1), start=1):
-        if window is None:
-            continue
-        rows, columns = window
-        organ_class = OrganClass(frame.metadata["instances"][str(value)]["class"])
-        category = selection.category(organ_class, fruit.get(value))
-        if category is None:
-            continue
-        class_id = numbers[category.id]
-        for polygon in mask_polygons(ids[window] == value, selection.smallest_px):
+    for found in find_objects(frame, selection, ids):
+        rows, columns = found.window
+        for polygon in mask_polygons(ids[found.window] == found.instance, selection.smallest_px):
             # At least three points: readers take two for a box.
             points = polygon if len(polygon) > 2 else polygon[[0, 0, -1]]
             xy = " ".join(f"{xs[columns.start + x]} {ys[rows.start + y]}" for x, y in points.tolist())
-            lines.append(f"{class_id} {xy}")
+            lines.append(f"{found.number} {xy}")
     return lines
 
 
 def _pixel_centres(count: int) -> list[str]:
     """Relative positions in [0, 1] of the pixel centres of a row or column, as text."""
-    return [f"{(position + 0.5) / count:.{_DECIMALS}f}" for position in range(count)]
+    return [f"{(position + 0.5) / count:.{DECIMALS}f}" for position in range(count)]
 
 
 @dataclass(frozen=True, eq=False)

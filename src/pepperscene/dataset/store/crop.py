@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 from pepperscene.dataset.store.recorded_values import recorded_values
@@ -12,6 +13,8 @@ from pepperscene.shipped import is_file, shipped_folder
 
 _SHIPPED_NAME: Final = re.compile(r"[A-Za-z0-9_-]+")
 _COMMON_NAMES: Final = {"Capsicum annuum": "sweet pepper"}
+_FRUIT_NAMES: Final = {"Capsicum annuum": "pepper", "Solanum lycopersicum": "tomato"}
+"""Names of the class `pepper`, fruit, by species; all species of the shipped cultivars."""
 
 
 def cultivar_names(info: Mapping[str, Any]) -> tuple[str, ...]:
@@ -35,14 +38,30 @@ def crop_name(info: Mapping[str, Any]) -> str:
     return " and ".join(dict.fromkeys(map(_crop_of_cultivar, cultivar_names(info))))
 
 
+def fruit_name(info: Mapping[str, Any]) -> str:
+    """The name of the fruit of a data set: "pepper" or "tomato"; "fruit" of other, unknown or several crops.
+
+    Args:
+        info: the content of `dataset.json`, of valid types.
+    """
+    names = {_FRUIT_NAMES.get(_species(name) or "", "fruit") for name in cultivar_names(info)}
+    return names.pop() if len(names) == 1 else "fruit"
+
+
 def _crop_of_cultivar(name: str) -> str:
+    species = _species(name)
+    return name if species is None else _COMMON_NAMES.get(species, species)
+
+
+@lru_cache(maxsize=64)
+def _species(name: str) -> str | None:
+    """The species of a shipped cultivar; None for others."""
     from pepperscene.cultivar import load_cultivar
 
     # The data set may be from anyone: a name must not be read as the path of another file.
     if not _SHIPPED_NAME.fullmatch(name) or not is_file(shipped_folder("plants") / f"{name}.toml"):
-        return name
+        return None
     try:
-        species = load_cultivar(name).species
+        return load_cultivar(name).species
     except InputError:
-        return name
-    return _COMMON_NAMES.get(species, species)
+        return None

@@ -204,15 +204,19 @@ class _Mask(_Fields):
         return self
 
 
-class _Cut(_Fields):
+class _Point(_Fields):
     camera_m: Three[Real]
     px: Two[Real] | None
     visible: bool
 
 
+class _Box3d(_Fields):
+    centre: Three[Real]
+
+
 class _Peduncle(_Fields):
     instance: InstanceNumber
-    cut: _Cut
+    cut: _Point
 
 
 class _Approach(_Fields):
@@ -236,6 +240,9 @@ class _Fruit(_Fields):
     pose: Pose
     box: Four[Number] | None
     amodal_box: Four[Number] | None
+    stalk_end: _Point | None = None
+    blossom_end: _Point | None = None
+    box_3d: _Box3d | None = None
     peduncle: _Peduncle | None
     approach: _Approach | None
 

@@ -22,6 +22,7 @@ from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.kernel.scene import mitsuba_mesh
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene, Skeleton
+from pepperscene.truth.blossom_end import blossom_end
 from pepperscene.truth.cut_point import FruitStalk, fruit_stalk, tool_approach
 from pepperscene.truth.encodings import Box
 from pepperscene.truth.harvest import AmodalMask, FruitTruth, LabelView, harvest_truth
@@ -195,7 +196,9 @@ class SceneHarvest:
         frames = fruit_frames([organ])
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = frames.axes[0].T, frames.foot[0]
-        local = (self._organs[index].mesh.vertices - frames.foot[0]) @ frames.axes[0].T
+        mesh = self._organs[index].mesh
+        local = (mesh.vertices - frames.foot[0]) @ frames.axes[0].T
+        end = frames.foot[0] + pose[:3, :3] @ blossom_end(local, mesh.faces, mesh.uv[:, 1])
         low, high = local.min(axis=0), local.max(axis=0)
         centre = frames.foot[0] + pose[:3, :3] @ (0.5 * (low + high))
         ancestors = _ancestors(self._skeleton, index)
@@ -203,7 +206,7 @@ class SceneHarvest:
         measures = {name: float(organ.measures.get(name, 0.0)) for name in names}
         stalk = _find_stalk(self._skeleton, ancestors)
         approach = tool_approach(centre, self._stem_axis(instance.plant))
-        return FruitTruth(index, instance, pose, low, high, measures, ancestors, stalk, approach)
+        return FruitTruth(index, instance, pose, low, high, measures, end, ancestors, stalk, approach)
 
     def _stem_axis(self, plant: int) -> NDArray[np.float64]:
         """`(k, 3)` axis of a plant's main stem."""
