@@ -144,6 +144,7 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=2000)
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--crop", default="256x256")
+    parser.add_argument("--width", type=int, default=400, help="to which images are scaled, in pixels")
     parser.add_argument("--model", default="small")
     parser.add_argument("--classes", default=FRUIT_CLASSES)
     parser.add_argument("--workers", type=int, default=0, help="processes that read images")
@@ -264,7 +265,9 @@ def schedule(sets: Mapping[str, Sequence[ImageSet]], options: argparse.Namespace
             name,
             seed,
             None,
-            TrainingOptions(options.model, None, options.steps, options.batch, size, seed=seed).completed(),
+            TrainingOptions(
+                options.model, None, options.steps, options.batch, size, options.width, seed=seed
+            ).completed(),
             tuple(parts),
             tests=(test,),
         )
