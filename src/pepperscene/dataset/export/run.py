@@ -49,12 +49,15 @@ class ExportFormat:
     library: str = ""  # module that the extra `export` installs
     smallest_px: int | None = None  # default of `export_dataset`; None for formats without objects
     reserved: tuple[str, ...] = ()  # names that no split may have: of other folders, or of other keys
+    has_masks: bool = False  # whether ignored pixels, if there can be some, are written as masks
 
 
 _YOLO_KEYS: Final = (
     "channels", "download", "flip_idx", "kpt_names", "kpt_shape", "names", "nc", "path", "yaml_file",
 )  # fmt: skip
 """Keys of `data.yaml` that mean something other than a split to Ultralytics."""
+
+_RANGE: Final = ("distance", "depth_z")
 
 FORMATS: Final = MappingProxyType(
     {
@@ -64,6 +67,10 @@ FORMATS: Final = MappingProxyType(
         "yolo": ExportFormat((("colour",), ("instance",)), "cv2", 12, _YOLO_KEYS),
         "webdataset": ExportFormat((("colour",), ("class",))),
         "huggingface": ExportFormat((("colour",), ("class",))),
+        "nerfstudio": ExportFormat((("colour",), _RANGE), has_masks=True),
+        "colmap": ExportFormat((("colour",), _RANGE), has_masks=True),
+        "ply": ExportFormat((("colour",), _RANGE, ("class",), ("instance",))),
+        "rgbd": ExportFormat((("colour",), _RANGE)),
     }
 )
 """All formats by name."""
@@ -135,6 +142,8 @@ def export_dataset(
     required = export_format.required
     if selection.needs_harvest:
         required = (*required, ("harvest",))
+    if export_format.has_masks and job.has_ignored_pixels:
+        required = (*required, ("class",))
     _check_outputs(dataset, list(job.split_of), required)
     module = import_module(f"pepperscene.dataset.export.{format_name}")
     with new_folder(Path(out), dataset.folder) as temporary:
