@@ -133,9 +133,7 @@ def test_splits_are_lists_of_images_and_seed_points_are_from_training(traced, tm
     content = load(out)
     assert content["train_filenames"] == ["images/000000.png"]
     # Nerfstudio validates with `val`, which it needs if there is any other list.
-    assert (
-        content["test_filenames"] == content["val_filenames"] == ["images/000001.png", "images/000002.png"]
-    )
+    assert content["test_filenames"] == content["val_filenames"] == ["images/000001.png", "images/000002.png"]
     assert len(content["frames"]) == 3
     only = export_dataset(traced().folder, "nerfstudio", tmp_path / "only", frames="0:1").folder
     assert not [key for key in load(only) if key.endswith("_filenames")]

@@ -23,8 +23,7 @@ from pepperscene.camera.pose_projects import (
 )
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.export.sequences import open_groups, scene_groups, scene_splits, training_frames
-from pepperscene.dataset.export.surface import SeedPoints, Surface, read_surface, seed_points, valid_pixels
-from pepperscene.dataset.store.images import png_bytes
+from pepperscene.dataset.export.surface import SeedPoints, Surface, mask_png, read_surface, seed_points
 
 SEED_POINTS: Final = 20_000
 """Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
@@ -93,8 +92,7 @@ def _write_scene(job: ExportJob, place: Path, seeds: SeedPoints, frames: Iterabl
             surface, name = read_surface(frame), f"{frame.name}.png"
             (place / "images" / name).write_bytes(frame.content("colour"))
             if job.has_ignored_pixels:
-                mask = png_bytes(np.where(valid_pixels(frame), np.uint8(255), np.uint8(0)))
-                (place / "masks" / f"{name}.png").write_bytes(mask)
+                (place / "masks" / f"{name}.png").write_bytes(mask_png(frame, surface))
             # A camera is its line without the number.
             _, _, parameters = colmap_camera(surface.camera).partition(" ")
             camera = cameras.setdefault(parameters, len(cameras) + 1)

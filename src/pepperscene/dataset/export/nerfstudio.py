@@ -10,19 +10,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from pepperscene.camera.pose_projects import nerfstudio_frame, nerfstudio_intrinsics
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.export.sequences import open_groups, scene_groups, scene_splits, training_frames
 from pepperscene.dataset.export.surface import (
     MILLIMETRES,
+    mask_png,
     point_file,
     read_surface,
     seed_points,
-    valid_pixels,
 )
-from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import ArgumentError, InputError
 
 SEED_POINTS: Final = 20_000
@@ -70,7 +67,7 @@ def _write_frames(job: ExportJob, place: Path, frames: Iterable[ExportFrame]) ->
         surface, file = read_surface(frame), f"{frame.name}.png"
         contents = {"images": frame.content("colour"), "depths": surface.depth_png()}
         if job.has_ignored_pixels:
-            contents["masks"] = png_bytes(np.where(valid_pixels(frame), np.uint8(255), np.uint8(0)))
+            contents["masks"] = mask_png(frame, surface)
         for name, content in contents.items():
             (place / name / file).write_bytes(content)
         entry = nerfstudio_frame(f"images/{file}", surface.camera.pose) | {

@@ -13,8 +13,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
-from pepperscene.dataset.export.surface import point_file, read_colour, read_surface
-from pepperscene.errors import InputError
+from pepperscene.dataset.export.surface import point_file, read_colour, read_label, read_surface
 
 _COLUMNS: Final = ("index", "set", "rotation", "step", "split", "file")
 _LABELS: Final = ("class", "instance")
@@ -38,12 +37,7 @@ def write_ply(job: ExportJob, folder: Path) -> None:
 
 def _point_cloud(frame: ExportFrame) -> bytes:
     surface = read_surface(frame)
-    colour, labels = read_colour(frame, surface), {name: frame.image(name) for name in _LABELS}
-    for name, image in labels.items():
-        if image.shape != surface.distance.shape:
-            height, width = surface.distance.shape
-            problem = f"must have {width} x {height} pixels, not {image.shape[1]} x {image.shape[0]}"
-            raise InputError(frame.dataset.path(frame.index, name), problem)
+    colour, labels = read_colour(frame, surface), {name: read_label(frame, name, surface) for name in _LABELS}
     rows, columns = np.nonzero(np.isfinite(surface.distance))
     further = {name: image[rows, columns] for name, image in labels.items()}
     return point_file(surface.points(rows, columns), colour[rows, columns], **further)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -72,8 +73,7 @@ def read_surface(frame: ExportFrame) -> Surface:
     image = np.asarray(frame.image(output), dtype=float)
     path = frame.dataset.path(frame.index, output)
     if image.shape != (camera.height, camera.width):
-        recorded = f"{camera.width} x {camera.height} of the frame's camera"
-        raise InputError(path, f"must have {recorded} pixels, not {image.shape[1]} x {image.shape[0]}")
+        raise _size_error(path, (camera.height, camera.width), image.shape)
     if not (image >= 0).all():
         # Written so that nan fails too.
         raise InputError(path, "must hold depths from 0 metres, inf for none")
@@ -84,15 +84,32 @@ def read_colour(frame: ExportFrame, surface: Surface) -> NDArray[np.uint8]:
     """The photograph `(h, w, 3)` of a frame; raises `InputError` if it has another size than its surface."""
     colour: NDArray[np.uint8] = frame.image("colour")
     if colour.shape[:2] != surface.distance.shape:
-        height, width = surface.distance.shape
-        problem = f"must have {width} x {height} pixels, not {colour.shape[1]} x {colour.shape[0]}"
-        raise InputError(frame.dataset.path(frame.index, "colour"), problem)
+        path = frame.dataset.path(frame.index, "colour")
+        raise _size_error(path, surface.distance.shape, colour.shape)
     return colour
 
 
-def valid_pixels(frame: ExportFrame) -> NDArray[np.bool_]:
+def read_label(frame: ExportFrame, output: str, surface: Surface) -> NDArray[Any]:
+    """A label image `(h, w)` of a frame; raises `InputError` if it has another size than its surface."""
+    image: NDArray[Any] = frame.image(output)
+    if image.shape != surface.distance.shape:
+        raise _size_error(frame.dataset.path(frame.index, output), surface.distance.shape, image.shape)
+    return image
+
+
+def valid_pixels(frame: ExportFrame, surface: Surface) -> NDArray[np.bool_]:
     """`(h, w)` whether training may use a pixel; the output `class` says which are ignored."""
-    return np.asarray(frame.image("class") != IGNORE_CLASS)
+    return np.asarray(read_label(frame, "class", surface) != IGNORE_CLASS)
+
+
+def mask_png(frame: ExportFrame, surface: Surface) -> bytes:
+    """A PNG of 8 bits: 0 for ignored pixels, 255 for others."""
+    return png_bytes(np.where(valid_pixels(frame, surface), np.uint8(255), np.uint8(0)))
+
+
+def _size_error(path: Path, expected: tuple[int, ...], found: tuple[int, ...]) -> InputError:
+    wanted = f"{expected[1]} x {expected[0]} pixels, as the frame's camera"
+    return InputError(path, f"must have {wanted}, not {found[1]} x {found[0]}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +138,7 @@ def seed_points(frames: Sequence[ExportFrame], count: int, *, leave_ignored: boo
         surface = read_surface(frame)
         is_candidate = np.isfinite(surface.distance)
         if leave_ignored:
-            is_candidate &= valid_pixels(frame)
+            is_candidate &= valid_pixels(frame, surface)
         candidates = np.flatnonzero(is_candidate)
         share = count * (number + 1) // len(frames) - count * number // len(frames)
         # By the index of the frame, so that its points do not depend on what else is exported.
