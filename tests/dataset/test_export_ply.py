@@ -25,7 +25,8 @@ from traced_set import (
 from pepperscene.dataset.export import export_dataset
 from pepperscene.errors import InputError
 
-LARGEST_PX = 0.05
+LARGEST_PX = 0.001
+FAULT_PX = 0.1
 TYPES = {"float": "<f4", "uchar": "u1", "ushort": "<u2"}
 
 
@@ -79,9 +80,9 @@ def test_faults_are_found(lens, traced, tmp_path):
     scaled["x"] *= 1.01
     flipped["y"], flipped["z"] = -vertices["y"], -vertices["z"]
     for fault, index in ((scaled, 1), (flipped, 1), (vertices[::-1], 1)):
-        assert reprojection_error(fault, dataset, index, lens) > 2 * LARGEST_PX
-    assert reprojection_error(vertices, dataset, 1, "pinhole") > 2 * LARGEST_PX
-    assert reprojection_error(vertices, dataset, 1, lens, ROLLING) > 2 * LARGEST_PX
+        assert reprojection_error(fault, dataset, index, lens) > FAULT_PX
+    assert reprojection_error(vertices, dataset, 1, "pinhole") > FAULT_PX
+    assert reprojection_error(vertices, dataset, 1, lens, ROLLING) > FAULT_PX
 
 
 def test_colours_classes_and_instances_are_those_of_the_pixels(traced, tmp_path):

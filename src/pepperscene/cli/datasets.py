@@ -101,7 +101,11 @@ def export(
     folder: FolderArgument,
     form: Annotated[
         str,
-        typer.Option("--format", metavar="NAME", help="published, coco, yolo, webdataset or huggingface."),
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help="published, coco, yolo, webdataset, huggingface, nerfstudio, colmap, ply or rgbd.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],
     split: Annotated[
@@ -131,7 +135,7 @@ def export(
         typer.Option(metavar="F", help="Ripeness that divides fruit into two categories (needs harvest)."),
     ] = None,
 ) -> None:
-    """Export a data set to a format that training code reads."""
+    """Export a data set to a format that other programs read."""
     from pepperscene.dataset import export_dataset
 
     with export_progress() as on_frame:
