@@ -104,7 +104,7 @@ def export(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="published, coco, yolo, webdataset, huggingface, nerfstudio, colmap, ply or rgbd.",
+            help="published, coco, yolo, webdataset, huggingface, nerfstudio, colmap, ply, rgbd or bop.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],

@@ -23,7 +23,7 @@ from pepperscene.camera.pose_projects import (
 )
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.export.sequences import open_groups, scene_groups, scene_splits, training_frames
-from pepperscene.dataset.export.surface import SeedPoints, Surface, mask_png, read_surface, seed_points
+from pepperscene.dataset.export.surface import RangeImage, SeedPoints, mask_png, read_surface, seed_points
 
 SEED_POINTS: Final = 20_000
 """Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
@@ -103,7 +103,7 @@ def _write_scene(job: ExportJob, place: Path, seeds: SeedPoints, frames: Iterabl
     (model / "points3D.txt").write_text(tracks.text(seeds), encoding="utf-8")
 
 
-def _observe(seeds: SeedPoints, surface: Surface, tracks: _Tracks) -> str:
+def _observe(seeds: SeedPoints, surface: RangeImage, tracks: _Tracks) -> str:
     """Add the points that an image shows to their tracks, and return its line of points in images.txt."""
     visible, pixels = visible_points(seeds.position, surface)
     camera = surface.camera
@@ -119,7 +119,7 @@ def _observe(seeds: SeedPoints, surface: Surface, tracks: _Tracks) -> str:
 
 
 def visible_points(
-    points: NDArray[np.float64], surface: Surface
+    points: NDArray[np.float64], surface: RangeImage
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The numbers `(m,)` of the world points `(n, 3)` that a frame shows, and their pixels `(m, 2)`.
 

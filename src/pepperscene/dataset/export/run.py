@@ -71,6 +71,7 @@ FORMATS: Final = MappingProxyType(
         "colmap": ExportFormat((("colour",), _RANGE), has_masks=True),
         "ply": ExportFormat((("colour",), _RANGE, ("class",), ("instance",))),
         "rgbd": ExportFormat((("colour",), _RANGE)),
+        "bop": ExportFormat((("colour",), _RANGE, ("instance",), ("harvest",)), reserved=("models",)),
     }
 )
 """All formats by name."""

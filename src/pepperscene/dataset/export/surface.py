@@ -26,7 +26,7 @@ _COLOURS: Final = ("red", "green", "blue")
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class RangeImage:
     """The surface that a frame shows.
 
     Attributes:
@@ -61,7 +61,7 @@ class Surface:
         return png_bytes(np.where(depth_mm <= MOST_MM, depth_mm, 0).astype(np.uint16))
 
 
-def read_surface(frame: ExportFrame) -> Surface:
+def read_surface(frame: ExportFrame) -> RangeImage:
     """The surface of a frame from its output `distance`, or else `depth_z`.
 
     Raises:
@@ -77,10 +77,10 @@ def read_surface(frame: ExportFrame) -> Surface:
     if not (image >= 0).all():
         # Written so that nan fails too.
         raise InputError(path, "must hold depths from 0 metres, inf for none")
-    return Surface(camera, image if output == "distance" else image / camera.pixel_directions()[..., 2])
+    return RangeImage(camera, image if output == "distance" else image / camera.pixel_directions()[..., 2])
 
 
-def read_colour(frame: ExportFrame, surface: Surface) -> NDArray[np.uint8]:
+def read_colour(frame: ExportFrame, surface: RangeImage) -> NDArray[np.uint8]:
     """The photograph `(h, w, 3)` of a frame; raises `InputError` if it has another size than its surface."""
     colour: NDArray[np.uint8] = frame.image("colour")
     if colour.shape[:2] != surface.distance.shape:
@@ -89,7 +89,7 @@ def read_colour(frame: ExportFrame, surface: Surface) -> NDArray[np.uint8]:
     return colour
 
 
-def read_label(frame: ExportFrame, output: str, surface: Surface) -> NDArray[Any]:
+def read_label(frame: ExportFrame, output: str, surface: RangeImage) -> NDArray[Any]:
     """A label image `(h, w)` of a frame; raises `InputError` if it has another size than its surface."""
     image: NDArray[Any] = frame.image(output)
     if image.shape != surface.distance.shape:
@@ -97,12 +97,12 @@ def read_label(frame: ExportFrame, output: str, surface: Surface) -> NDArray[Any
     return image
 
 
-def valid_pixels(frame: ExportFrame, surface: Surface) -> NDArray[np.bool_]:
+def valid_pixels(frame: ExportFrame, surface: RangeImage) -> NDArray[np.bool_]:
     """`(h, w)` whether training may use a pixel; the output `class` says which are ignored."""
     return np.asarray(read_label(frame, "class", surface) != IGNORE_CLASS)
 
 
-def mask_png(frame: ExportFrame, surface: Surface) -> bytes:
+def mask_png(frame: ExportFrame, surface: RangeImage) -> bytes:
     """A PNG of 8 bits: 0 for ignored pixels, 255 for others."""
     return png_bytes(np.where(valid_pixels(frame, surface), np.uint8(255), np.uint8(0)))
 

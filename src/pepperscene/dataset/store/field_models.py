@@ -229,6 +229,10 @@ class _Approach(_Fields):
     camera: Three[Real]
 
 
+class _Box3d(_Fields):
+    size: Three[Real]
+
+
 class _Fruit(_Fields):
     instance: InstanceNumber
     plant: Number
@@ -246,6 +250,7 @@ class _Fruit(_Fields):
     pose: Pose
     box: Four[Number] | None
     amodal_box: Four[Number] | None
+    box_3d: _Box3d | None = None
     peduncle: _Peduncle | None
     approach: _Approach | None
 
