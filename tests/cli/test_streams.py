@@ -208,7 +208,7 @@ def test_commands_read_and_print_folders_whose_names_are_not_utf8(odd_set):
 
 
 def test_exports_and_meshes_whose_names_are_not_utf8(odd_set):
-    forms = ("published", "coco", "yolo", "webdataset", "huggingface")
+    forms = ("published", "coco", "yolo", "webdataset", "huggingface", "nerfstudio", "colmap", "ply", "rgbd")
     folders = [odd_set + form.encode() for form in forms]
     mesh = odd_set + b".obj"
     *exported, grown = run_together(

@@ -15,6 +15,7 @@ from data_sets import make_small_set, remove_plants
 from disc_set import make_disc_set
 from painted_set import make_painted_set
 from stand_in import StandIn
+from traced_set import make_traced_set
 
 from pepperscene.dataset import BuildOptions, Recipe, build, load_recipe, open_dataset
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
@@ -120,6 +121,19 @@ def small(tmp_path_factory):
 def painted(tmp_path_factory):
     """Six painted frames, with organs in pieces and with holes; to be read, not changed."""
     return make_painted_set(tmp_path_factory.mktemp("painted") / "set")
+
+
+@pytest.fixture(scope="session")
+def traced(tmp_path_factory):
+    """Makes data sets of known geometry by the name of a lens, each once; to be read, not changed."""
+    made = {}
+
+    def make(lens="pinhole"):
+        if lens not in made:
+            made[lens] = make_traced_set(tmp_path_factory.mktemp("traced") / lens, lens)
+        return made[lens]
+
+    return make
 
 
 @pytest.fixture(scope="session")

@@ -47,7 +47,8 @@ class Painter:
             "harvest": harvest(rng, visible, fruit_masks),
         }
         instances = {str(value): entry for value, entry in visible.items()}
-        metadata = {"camera": camera.metadata(), "instances": instances}
+        size = {"width": SIZE[1], "height": SIZE[0]}
+        metadata = {"camera": {**camera.metadata(), **size}, "instances": instances}
         return Frame({name: images[name] for name in outputs}, metadata)
 
 

@@ -28,6 +28,7 @@ from pepperscene.truth.encodings import encode_rle
 
 SIZE = (12, 16)
 OUTPUTS = ("colour", "class", "instance", "distance", "distance_code", "harvest")
+PAINTED = [name for name in FORMATS if name != "bop"]  # `bop` needs plants
 FILES = ("dataset.json", "frames/000000.json", "harvest/000000.json")
 REMOVED = object()
 DEEP = [[]]
@@ -68,7 +69,7 @@ class TwoFruit:
             },
         }
         metadata = {
-            "camera": camera.metadata(),
+            "camera": {**camera.metadata(), "width": SIZE[1], "height": SIZE[0]},
             "instances": {
                 str(value): {**entry, "pixels": int((instance == value).sum())} for value in (7, 9)
             },
@@ -104,7 +105,7 @@ def actions(folder, tmp_path):
     keys = ("image", "mask", "instances", "distance")
     yield "torch", lambda: read_all(torch_images(folder, keys))
     yield "report", lambda: write_report(folder, limit=2)
-    for format_name in FORMATS:
+    for format_name in PAINTED:
         out = tmp_path / format_name
         shutil.rmtree(out, ignore_errors=True)
         yield (
@@ -205,7 +206,7 @@ def test_every_action_reads_the_unchanged_set(original, tmp_path):
     for _, action in actions(folder, tmp_path):
         action()
     assert (folder / "index.html").is_file()
-    assert all(any((tmp_path / name).iterdir()) for name in FORMATS)
+    assert all(any((tmp_path / name).iterdir()) for name in PAINTED)
 
 
 @pytest.mark.parametrize(

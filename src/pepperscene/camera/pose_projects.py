@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +29,11 @@ from pepperscene.errors import ArgumentError, InputError
 _OPENGL: Final = np.array([1.0, -1.0, -1.0])
 """Signs of the camera's axes: nerfstudio's point right, up and backwards, ours right, down and forward."""
 _COLMAP_FIELDS: Final = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+COLMAP_CAMERAS: Final = "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n"
+COLMAP_IMAGES: Final = f"# {_COLMAP_FIELDS}\n# POINTS2D[] as X Y POINT3D_ID\n"
+COLMAP_POINTS: Final = "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX\n"
+"""First lines of the files of a model."""
+
 _RADIAL: Final = ("k1", "k2", "k3", "k4", "k5", "k6")
 
 
@@ -72,14 +78,18 @@ def nerfstudio_text(poses: PoseList, camera: Camera | None) -> str:
     Raises:
         ArgumentError: the lens has a rational distortion, which nerfstudio does not have.
     """
-    content: dict[str, Any] = {} if camera is None else _nerfstudio_intrinsics(camera)
-    matrices = poses.poses.copy()
-    matrices[:, :3, :3] *= _OPENGL
+    content: dict[str, Any] = {} if camera is None else nerfstudio_intrinsics(camera)
     content["frames"] = [
-        {"file_path": name, "transform_matrix": matrix.tolist()}
-        for name, matrix in zip(_image_names(poses), matrices, strict=True)
+        nerfstudio_frame(name, pose) for name, pose in zip(_image_names(poses), poses.poses, strict=True)
     ]
     return json.dumps(content, indent=1) + "\n"
+
+
+def nerfstudio_frame(file_path: str, pose: Array) -> dict[str, Any]:
+    """An entry of `frames`: the image's path, and the pose `(4, 4)` with nerfstudio's camera axes."""
+    matrix = pose.copy()
+    matrix[:3, :3] *= _OPENGL
+    return {"file_path": file_path, "transform_matrix": matrix.tolist()}
 
 
 def _matrix(rows: object, path: Path, key: str) -> list[list[float]]:
@@ -123,8 +133,12 @@ def _frame_names(frames: list[dict[str, Any]], path: Path) -> tuple[str, ...] | 
     return tuple(names)
 
 
-def _nerfstudio_intrinsics(camera: Camera) -> dict[str, Any]:
-    """Keys of the camera; nerfstudio's pixel centres are at half pixels, as ours."""
+def nerfstudio_intrinsics(camera: Camera) -> dict[str, Any]:
+    """Keys of the camera; nerfstudio's pixel centres are at half pixels, as ours.
+
+    Raises:
+        ArgumentError: the lens has a rational distortion, which nerfstudio does not have.
+    """
     matrix, coefficients = camera.intrinsics, _coefficients(camera)
     is_fisheye = "p1" not in coefficients
     if not is_fisheye and any(coefficients.get(name) for name in ("k4", "k5", "k6")):
@@ -209,22 +223,39 @@ def colmap_texts(poses: PoseList, camera: Camera | None) -> dict[str, str]:
     names = _image_names(poses)
     if len(set(names)) != len(names):
         raise ArgumentError("poses", "must be different for a COLMAP model", key="names")
-    to_camera = np.swapaxes(poses.poses[:, :3, :3], 1, 2)
-    translation = -(to_camera @ poses.poses[:, :3, 3:])[..., 0]
-    rows = np.hstack([np.roll(quaternions_of(to_camera), 1, axis=1), translation])
     # An empty line of points follows each image.
     images = [
-        f"{number} {' '.join(text_of(row))} 1 {name}\n"
-        for number, (row, name) in enumerate(zip(rows, names, strict=True), start=1)
+        f"{line}\n\n"
+        for line in colmap_images(poses.poses, range(1, 1 + len(names)), [1] * len(names), names)
     ]
-    files = {"images.txt": "\n".join([f"# {_COLMAP_FIELDS}", "# POINTS2D[] as X Y POINT3D_ID", *images, ""])}
+    files = {"images.txt": "".join([COLMAP_IMAGES, *images])}
     if camera is not None:
-        files["cameras.txt"] = f"# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n{_colmap_camera(camera)}\n"
-        files["points3D.txt"] = "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX\n"
+        files["cameras.txt"] = f"{COLMAP_CAMERAS}{colmap_camera(camera)}\n"
+        files["points3D.txt"] = COLMAP_POINTS
     return files
 
 
-def _colmap_camera(camera: Camera) -> str:
+def colmap_images(
+    poses: Array, numbers: Sequence[int], cameras: Sequence[int], names: Sequence[str]
+) -> list[str]:
+    """The first lines of images of images.txt, without the lines of points.
+
+    Args:
+        poses: `(n, 4, 4)` camera to world.
+        numbers: IMAGE_ID of each.
+        cameras: CAMERA_ID of each.
+        names: of the files.
+    """
+    to_camera = np.swapaxes(poses[:, :3, :3], 1, 2)
+    translation = -(to_camera @ poses[:, :3, 3:])[..., 0]
+    rows = np.hstack([np.roll(quaternions_of(to_camera), 1, axis=1), translation])
+    return [
+        f"{number} {' '.join(text_of(row))} {camera} {name}"
+        for number, row, camera, name in zip(numbers, rows, cameras, names, strict=True)
+    ]
+
+
+def colmap_camera(camera: Camera, number: int = 1) -> str:
     """A line of cameras.txt with the simplest model; COLMAP's pixel centres are at half pixels, as ours."""
     matrix, values = camera.intrinsics, _coefficients(camera)
     if "p1" not in values:
@@ -237,7 +268,7 @@ def _colmap_camera(camera: Camera) -> str:
         model, names = "FULL_OPENCV", ["k1", "k2", "p1", "p2", *_RADIAL[2:]]
     parameters = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
     parameters += [values.get(name, 0.0) for name in names]
-    return f"1 {model} {camera.width} {camera.height} {' '.join(text_of(np.array(parameters)))}"
+    return f"{number} {model} {camera.width} {camera.height} {' '.join(text_of(np.array(parameters)))}"
 
 
 # --- both ------------------------------------------------------------------------------------------------

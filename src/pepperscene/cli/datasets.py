@@ -104,7 +104,8 @@ def export(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="published, coco, yolo, yolo_detect, yolo_pose, semantic, webdataset or huggingface.",
+            help="published, coco, yolo, yolo_detect, yolo_pose, semantic, webdataset, huggingface, "
+            "nerfstudio, colmap, ply, rgbd or bop.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],
@@ -148,7 +149,7 @@ def export(
         str, typer.Option(metavar="keep|drop", help="Objects that the image border may cut.")
     ] = "keep",
 ) -> None:
-    """Export a data set to a format that training code reads."""
+    """Export a data set to a format that other programs read."""
     from pepperscene.dataset import export_dataset
 
     with export_progress() as on_frame:

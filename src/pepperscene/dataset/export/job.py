@@ -151,10 +151,15 @@ class ExportJob:
         self, order: Callable[[Sequence[int]], Sequence[int]] = tuple
     ) -> Iterator[tuple[str, Iterator[ExportFrame]]]:
         """The splits and their frames, in the given order; progress covers all of them."""
-        orders = {split: order(indices) for split, indices in self.splits.items()}
-        frames = self.frames([index for indices in orders.values() for index in indices])
-        for split, indices in orders.items():
-            yield split, islice(frames, len(indices))
+        return self.frames_by_group({split: order(indices) for split, indices in self.splits.items()})
+
+    def frames_by_group(
+        self, groups: Mapping[str, Sequence[int]]
+    ) -> Iterator[tuple[str, Iterator[ExportFrame]]]:
+        """The names of groups of indices, and their frames; progress covers all of them."""
+        frames = self.frames([index for indices in groups.values() for index in indices])
+        for name, indices in groups.items():
+            yield name, islice(frames, len(indices))
         # Report the last frame as done.
         next(frames, None)
 

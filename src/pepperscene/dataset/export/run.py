@@ -54,6 +54,7 @@ class ExportFormat:
     reserved: tuple[str, ...] = ()  # names that no split may have: of other folders, or of other keys
     classes: str | None = None  # default of `export_dataset`
     has_background: bool = False  # whether the background can be a class
+    has_masks: bool = False  # whether ignored pixels, if there can be some, are written as masks
 
 
 KEEP: Final = "keep"
@@ -64,6 +65,8 @@ _YOLO_KEYS: Final = (
     "channels", "download", "flip_idx", "kpt_names", "kpt_shape", "names", "nc", "path", "yaml_file",
 )  # fmt: skip
 """Keys of `data.yaml` that mean something other than a split to Ultralytics."""
+
+_RANGE: Final = ("distance", "depth_z")
 
 FORMATS: Final = MappingProxyType(
     {
@@ -76,6 +79,11 @@ FORMATS: Final = MappingProxyType(
         "semantic": ExportFormat((("colour",), ("class",)), "", 1, has_background=True),
         "webdataset": ExportFormat((("colour",), ("class",))),
         "huggingface": ExportFormat((("colour",), ("class",))),
+        "nerfstudio": ExportFormat((("colour",), _RANGE), has_masks=True),
+        "colmap": ExportFormat((("colour",), _RANGE), has_masks=True),
+        "ply": ExportFormat((("colour",), _RANGE, ("class",), ("instance",))),
+        "rgbd": ExportFormat((("colour",), _RANGE)),
+        "bop": ExportFormat((("colour",), _RANGE, ("instance",), ("harvest",)), reserved=("models",)),
     }
 )
 """All formats by name."""
@@ -143,6 +151,8 @@ def export_dataset(
         required = (*required, ("harvest",))
     if selection.needs_organs:
         required = (*required, ("instance",))
+    if export_format.has_masks and job.has_ignored_pixels:
+        required = (*required, ("class",))
     _check_outputs(dataset, list(job.split_of), required)
     module = import_module(f"pepperscene.dataset.export.{format_name}")
     with new_folder(Path(out), dataset.folder) as temporary:

@@ -120,6 +120,12 @@ class _Distortion(_Fields):
     model: Text = "plumb_bob"
 
 
+class _Motion(_Fields):
+    velocity_m_s: Three[Real]
+    angular_velocity_rad_s: Three[Real]
+    labels_per_row: bool = True
+
+
 class _Camera(_Fields):
     pose: Pose
     fx: Real
@@ -127,6 +133,10 @@ class _Camera(_Fields):
     cx: Real
     cy: Real
     distortion: _Distortion
+    width: Annotated[int, Field(ge=1, le=_LARGEST_SIDE)] | None = None
+    height: Annotated[int, Field(ge=1, le=_LARGEST_SIDE)] | None = None
+    line_time_s: Annotated[float, Field(ge=0, le=_LARGEST)] = 0.0
+    motion: _Motion | None = None
 
 
 def _check_class(value: int) -> int:
@@ -212,6 +222,7 @@ class _Point(_Fields):
 
 class _Box3d(_Fields):
     centre: Three[Real]
+    size: Three[Real]
 
 
 class _Peduncle(_Fields):
