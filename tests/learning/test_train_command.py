@@ -70,11 +70,12 @@ def test_trains_evaluates_and_predicts(bands, tmp_path):
     assert result.exit_code == 0, result.output
     assert len(list((tmp_path / "predicted" / "class").iterdir())) == 3
 
-    # A second training starts from the first one.
+    # A second training starts from the first one, and scales images as that did.
     command = ["train", str(bands), "--out", str(tmp_path / "next"), "--start", str(out)]
-    result = run(app, [*command, *OPTIONS[2:]])
+    result = run(app, [*command, *(text for text in OPTIONS[2:] if text not in ("--width", "0"))])
     assert result.exit_code == 0, result.output
     assert load_model(tmp_path / "next").classes == model.classes
+    assert load_model(tmp_path / "next").width is None
 
 
 def test_rejects_wrong_arguments(rejects, bands, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_text
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,8 +71,12 @@ def train(
     batch: Annotated[int | None, typer.Option(metavar="N", help="Images in a step.")] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of the crops in pixels.")] = "256x256",
     width: Annotated[
-        int, typer.Option(metavar="PX", help="Width to which images are scaled; 0 keeps their own.")
-    ] = 400,
+        int | None,
+        typer.Option(
+            metavar="PX",
+            help="Width to which images are scaled; 0 keeps their own. Default: 400, or --start's.",
+        ),
+    ] = None,
     learning_rate: Annotated[float | None, typer.Option(metavar="F", help="Learning rate of Adam.")] = None,
     schedule: Annotated[
         str | None, typer.Option(metavar="NAME", help="Of the learning rate: constant or cosine.")
@@ -104,15 +109,20 @@ def train(
     # Find errors in the arguments before torch is imported, which takes seconds.
     if model is not None and start is not None:
         raise InputError("--model", "cannot be combined with --start, which has a model")
+    scaled_to = TrainingOptions().width if width is None else width or None
     options = TrainingOptions(
-        DEFAULT_MODEL if model is None else model, classes, steps, batch, parse_size(size), width or None,
+        DEFAULT_MODEL if model is None else model, classes, steps, batch, parse_size(size), scaled_to,
         learning_rate, schedule, balance, augmentation, seed, validate, precision,
     )  # fmt: skip
     options.completed()
     opened = open_image_sets([*sets, *(validation or [])], labels=labels, half=half)
     require_torch()
+    from pepperscene.learning.models.trained_model import load_model
     from pepperscene.learning.training.run import train as train_model
 
+    origin = None if start is None else load_model(start)
+    if origin is not None and width is None:
+        options = replace(options, width=origin.width)
     try:
         with training_progress() as on_progress:
             network = train_model(
@@ -120,7 +130,7 @@ def train(
                 out,
                 options,
                 validation=opened[len(sets) :],
-                start=start,
+                start=origin,
                 resume=resume,
                 workers=workers,
                 device=device,
