@@ -340,4 +340,7 @@ def print_message(text: str, _is_frequent: bool) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Workers unpickle the renderer by the name of its module, which must be one that they can import.
+    from learning_ablation import main as run_main
+
+    sys.exit(run_main())
