@@ -487,6 +487,29 @@ def export() -> Image.Image:
     return fill(np.asarray(image))
 
 
+def learning() -> Image.Image:
+    """IoU on photographs of the experiments B, C and E with intervals: out/experiments/experiments.json."""
+    content = json.loads((ROOT / "out" / "experiments" / "experiments.json").read_bytes())
+    results = {item["key"]: item["measures"] for item in content["experiments"] if item["ran"]}
+    figure, axes = chart(left=0.12, bottom=0.13, right=0.98, top=0.86)
+    names = ("fruit", "peduncle", "mean")
+    series = {"B": ("rendered images", GREEN), "C": ("photographs", GREY), "E": ("both", ORANGE)}
+    for number, (key, (label, colour)) in enumerate(series.items()):
+        measures = {measure["name"]: measure for measure in results[key]}
+        places = np.arange(len(names)) + 0.27 * (number - 1)
+        values, low, high = (
+            np.array([100 * measures[name][part] for name in names]) for part in ("value", "low", "high")
+        )
+        axes.bar(places, values, 0.25, color=colour, label=label)
+        axes.errorbar(places, values, [values - low, high - values], fmt="none", ecolor=INK, elinewidth=0.8)
+    axes.set_xticks(range(len(names)), names)
+    axes.tick_params(axis="x", length=0)
+    axes.set_ylim(0, 85)
+    axes.legend(fontsize=FONT_PT - 0.5, frameon=False, loc="upper left", handlelength=0.8, borderpad=0)
+    axes.set_title("IoU on photographs, %", fontsize=FONT_PT + 0.5, pad=3)
+    return drawn(figure)
+
+
 def report() -> Image.Image:
     """The fraction of each class in the pixels of the demo set."""
     manifest = demo_set().manifest()
@@ -1059,7 +1082,7 @@ PHOTOGRAPHS: Final = (
 DRAWINGS: Final = (
     colour_tuning, views, cluster, report, compare, benchmark, command_line, recipe, devices, patches,
     tuning_parameters, tuning_files, pose_files, conventions, api, glossary, architecture, reliability,
-    optics, colour,
+    optics, colour, learning,
 )  # fmt: skip
 FIGURES: Final[dict[str, Callable[[], Image.Image]]] = {
     one.__name__: one for one in (*PHOTOGRAPHS, *DRAWINGS)
