@@ -89,7 +89,9 @@ def test_export_prints_progress_and_summary(form, data_set, command, tmp_path):
     result = command("export", data_set, "--format", form, "--out", out, "--split", "train=:6139,val=6139:")
     assert result.exit_code == 0, result.stderr
     assert result.stdout == f"3 frames as {form} (2 train, 1 val): {out}\n"
-    assert result.stderr == "".join(f"frame {6137 + k:06d} ({k + 1} of 3)\n" for k in range(3))
+    progress = "".join(f"frame {6137 + k:06d} ({k + 1} of 3)\n" for k in range(3))
+    warning = "warning: train and val show the same plants from other places: 2 splits have 1 set of plants; "
+    assert result.stderr == f"{progress}{warning}a plan with more sets keeps them apart\n"
     assert any(out.iterdir())
 
 

@@ -156,17 +156,17 @@ def test_fractions_never_divide_a_moment_and_a_warning_names_shared_plants(case,
         ({"train": range(1750)}, ""),
         (
             {"train": range(200), "val": range(200, 250)},
-            "train and val show the same plants from other places: 2 splits of 1 set of plants;"
-            " more sets separate them",
+            "train and val show the same plants from other places: 2 splits have 1 set of plants;"
+            " a plan with more sets keeps them apart",
         ),
         (
             {"train": range(250), "val": range(250, 500)},
-            "train and val show the same plants in another order: 2 splits of 1 set of plants;"
-            " more sets separate them",
+            "train and val show the same plants in another order: 2 splits have 1 set of plants;"
+            " a plan with more sets keeps them apart",
         ),
         (
             {"train": range(1750), "val": range(1700, 1760), "test": range(3500, 3600)},
-            "train and val show the same plants from other places: 3 splits of 3 sets of plants;"
+            "train and val show the same plants from other places: 3 splits have 3 sets of plants;"
             " fractions keep them apart",
         ),
     ],

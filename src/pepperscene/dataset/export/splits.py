@@ -141,9 +141,9 @@ def shared_plants(members: Mapping[str, Sequence[int]], plan: Mapping[str, Any])
         for a, b in itertools.combinations(units, 2):
             if units[a] & units[b]:
                 count = len(set().union(*(set((found // per_set).tolist()) for found in moments_of.values())))
-                remedy = "fractions keep them apart" if count >= len(members) else "more sets separate them"
-                problem = f"{a} and {b} show the same plants {view}: {len(members)} splits of {count}"
-                return f"{problem} set{'' if count == 1 else 's'} of plants; {remedy}"
+                remedy = "fractions keep" if count >= len(members) else "a plan with more sets keeps"
+                problem = f"{a} and {b} show the same plants {view}: {len(members)} splits have {count}"
+                return f"{problem} set{'' if count == 1 else 's'} of plants; {remedy} them apart"
     return ""
 
 
