@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 from data_sets import make_small_set, remove_plants
 from disc_set import make_disc_set
+from label_set import make_label_set
 from painted_set import make_painted_set
 from stand_in import StandIn
 from traced_set import make_traced_set
@@ -134,6 +135,12 @@ def traced(tmp_path_factory):
         return made[lens]
 
     return make
+
+
+@pytest.fixture(scope="module")
+def labels(tmp_path_factory):
+    """A painted data set for exports of labels; a module that damages it has its own."""
+    return make_label_set(tmp_path_factory.mktemp("labels") / "set")
 
 
 @pytest.fixture(scope="session")

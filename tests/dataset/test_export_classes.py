@@ -16,7 +16,6 @@ from label_set import (
     expected_objects,
     export,
     fruit_truth,
-    make_label_set,
     read_yolo,
 )
 from typer.testing import CliRunner
@@ -31,11 +30,6 @@ from pepperscene.learning.class_table import ClassTable
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-
-
-@pytest.fixture(scope="module")
-def labels(tmp_path_factory):
-    return make_label_set(tmp_path_factory.mktemp("labels") / "set")
 
 
 def load_coco(folder):

@@ -21,7 +21,6 @@ from label_set import (
     expected_points,
     export,
     fruit_truth,
-    make_label_set,
     pixels_of_box,
     read_yolo,
 )
@@ -36,11 +35,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 
 from pycocotools.coco import COCO  # noqa: E402
 from pycocotools.cocoeval import COCOeval  # noqa: E402
-
-
-@pytest.fixture(scope="module")
-def labels(tmp_path_factory):
-    return make_label_set(tmp_path_factory.mktemp("labels") / "set")
 
 
 def load_coco(folder):

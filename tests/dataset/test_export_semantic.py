@@ -6,17 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from label_set import FRAMES, MAPPING, expected_name, export, fruit_truth, make_label_set
+from label_set import FRAMES, MAPPING, expected_name, export, fruit_truth
 from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, OrganClass
 from pepperscene.dataset import open_images
 from pepperscene.learning.class_table import ClassTable
-
-
-@pytest.fixture(scope="module")
-def labels(tmp_path_factory):
-    return make_label_set(tmp_path_factory.mktemp("labels") / "set")
 
 
 def read_mask(folder, index, split="train"):
