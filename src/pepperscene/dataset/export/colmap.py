@@ -23,10 +23,14 @@ from pepperscene.camera.pose_projects import (
 )
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.export.sequences import open_groups, scene_groups, scene_splits, training_frames
-from pepperscene.dataset.export.surface import RangeImage, SeedPoints, mask_png, read_surface, seed_points
-
-SEED_POINTS: Final = 20_000
-"""Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
+from pepperscene.dataset.export.surface import (
+    SEED_POINTS,
+    RangeImage,
+    SeedPoints,
+    mask_png,
+    read_surface,
+    seed_points,
+)
 
 DISTANCE_TOLERANCE: Final = 0.005
 """Relative difference of distances up to which a pixel shows a point. Chosen: 2 mm at 40 cm, which a surface

@@ -22,6 +22,9 @@ from pepperscene.errors import InputError, SetupError
 OnFrame = Callable[[int, int, int], None]
 """Called after every frame with its index, the number of frames done, and the number of all."""
 
+DEPTH_OUTPUTS: Final = ("distance", "depth_z")
+"""Outputs of which formats with depths need one."""
+
 REST: Final = 1 << 16
 """Segment id of the rest of class 0; instances are 16-bit numbers."""
 

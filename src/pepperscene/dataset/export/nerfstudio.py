@@ -15,15 +15,13 @@ from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.export.sequences import open_groups, scene_groups, scene_splits, training_frames
 from pepperscene.dataset.export.surface import (
     MILLIMETRES,
+    SEED_POINTS,
     mask_png,
     point_file,
     read_surface,
     seed_points,
 )
 from pepperscene.errors import ArgumentError, InputError
-
-SEED_POINTS: Final = 20_000
-"""Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
 
 _POINT_FILE: Final = "seed_points.ply"
 
@@ -49,7 +47,7 @@ def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[s
     splits = scene_splits(job, indices)
     return {
         "camera_model": entries[0]["camera_model"],
-        # The default of nerfstudio, which does not read this key; it is here for people.
+        # The default of nerfstudio, which does not read this key; it tells people the unit.
         "depth_unit_scale_factor": 1 / MILLIMETRES,
         "ply_file_path": _POINT_FILE,
         **{f"{split}_filenames": [paths[index] for index in members] for split, members in splits.items()},

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from pepperscene.dataset.export.job import ExportJob, OnFrame, import_library
+from pepperscene.dataset.export.job import DEPTH_OUTPUTS, ExportJob, OnFrame, import_library
 from pepperscene.dataset.export.selection import RIPE_FROM, Selection, parse_categories
 from pepperscene.dataset.export.splits import read_splits, shared_plants
 from pepperscene.dataset.recipe.plan import Plan
@@ -66,8 +66,6 @@ _YOLO_KEYS: Final = (
 )  # fmt: skip
 """Keys of `data.yaml` that mean something other than a split to Ultralytics."""
 
-_RANGE: Final = ("distance", "depth_z")
-
 FORMATS: Final = MappingProxyType(
     {
         "published": ExportFormat((("colour",), ("class",), ("distance_code", "distance"))),
@@ -79,11 +77,11 @@ FORMATS: Final = MappingProxyType(
         "semantic": ExportFormat((("colour",), ("class",)), "", 1, has_background=True),
         "webdataset": ExportFormat((("colour",), ("class",))),
         "huggingface": ExportFormat((("colour",), ("class",))),
-        "nerfstudio": ExportFormat((("colour",), _RANGE), has_masks=True),
-        "colmap": ExportFormat((("colour",), _RANGE), has_masks=True),
-        "ply": ExportFormat((("colour",), _RANGE, ("class",), ("instance",))),
-        "rgbd": ExportFormat((("colour",), _RANGE)),
-        "bop": ExportFormat((("colour",), _RANGE, ("instance",), ("harvest",)), reserved=("models",)),
+        "nerfstudio": ExportFormat((("colour",), DEPTH_OUTPUTS), has_masks=True),
+        "colmap": ExportFormat((("colour",), DEPTH_OUTPUTS), has_masks=True),
+        "ply": ExportFormat((("colour",), DEPTH_OUTPUTS, ("class",), ("instance",))),
+        "rgbd": ExportFormat((("colour",), DEPTH_OUTPUTS)),
+        "bop": ExportFormat((("colour",), DEPTH_OUTPUTS, ("instance",), ("harvest",)), reserved=("models",)),
     }
 )
 """All formats by name."""

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.classes import IGNORE_CLASS
-from pepperscene.dataset.export.job import ExportFrame
+from pepperscene.dataset.export.job import DEPTH_OUTPUTS, ExportFrame
 from pepperscene.dataset.export.recorded_camera import recorded_camera
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import InputError
 
-DEPTH_OUTPUTS: Final = ("distance", "depth_z")
-"""Outputs of which one is enough."""
+SEED_POINTS: Final = 20_000
+"""Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
 
 MILLIMETRES: Final = 1000.0  # per metre
 MOST_MM: Final = 65_535  # of a 16-bit image
