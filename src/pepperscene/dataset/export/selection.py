@@ -51,7 +51,7 @@ class Category:
 
     @property
     def organ_class(self) -> OrganClass:
-        """The first of its organ classes."""
+        """Its organ class of the lowest id; fruit for a category of unripe fruit."""
         return OrganClass.PEPPER if self.id == _UNRIPE else OrganClass(self.id)
 
     @property

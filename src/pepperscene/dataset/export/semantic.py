@@ -72,7 +72,7 @@ def _class_record(number: int, category: Category) -> dict[str, object]:
 def _label_table(classes: Sequence[Category], selection: Selection) -> str:
     """The table by which `open_images` reads the masks.
 
-    A merged class is read as the first of its organ classes. A background that has organs because they are
+    A merged class is read as its organ class of the lowest id. A background that has organs because they are
     not selected is void: what it shows is unknown.
     """
     lines = ["# Classes of the mask values, for pepperscene.open_images."]
