@@ -114,6 +114,15 @@ def check_outputs(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(name for name in OUTPUTS if name in requested)
 
 
+TARGET_TOLERANCE: Final = 1.25
+"""Chosen: ratio of an error to its target up to which the target counts as met. The error is an estimate."""
+
+
+def is_target_met(error_to_noise: float, target: float) -> bool:
+    """Whether the estimated error of a frame's light, over the sensor noise, is not far above its target."""
+    return error_to_noise <= TARGET_TOLERANCE * target
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One rendered view.

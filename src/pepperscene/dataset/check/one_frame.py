@@ -49,6 +49,7 @@ class FrameTraits:
     mean: float | None = None  # grey value of the photograph
     saturated: float = 0.0  # fraction of the photograph's pixels with a channel at 255
     automatic: Mapping[str, Any] | None = None  # settings that automatic exposure chose
+    sampling: Mapping[str, Any] = field(default_factory=dict)  # samples of the light, their error and target
     drawn: Mapping[str, Any] = field(default_factory=dict)  # drawn values by dotted key
 
 
@@ -125,6 +126,7 @@ def _traits(
         mean=None if photo is None else float(photo.mean()),
         saturated=0.0 if photo is None else saturated_fraction(photo),
         automatic=json_object(metadata, "auto_exposure") or None,
+        sampling=json_object(metadata, "sampling"),
         drawn=json_object(metadata, "drawn"),
     )
 

@@ -24,6 +24,7 @@ from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.recipe.tables import ExpectTable
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
 from pepperscene.dataset.store.journal import JOURNAL, Journal
+from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, WorkerError
@@ -141,13 +142,14 @@ def check_dataset(
 
     # Each frame by itself, in the same order for any number of workers.
     comparison, has_harvest = CrossFrameChecks(expect), False
-    drawn, exposures = DrawnValues(dataset.info), Exposures(dataset.info)
+    drawn, exposures, errors = DrawnValues(dataset.info), Exposures(dataset.info), RenderingErrors()
     for done, examination in enumerate(examine_frames(dataset, indices, workers), start=1):
         findings += examination.findings
         traits = examination.traits
         findings += comparison.add(traits)
         drawn.add(traits.index, traits.drawn)
         exposures.add(traits.mean, traits.saturated, traits.automatic)
+        errors.add(*(traits.sampling.get(name) for name in ("target", "error_codes", "noise_codes")))
         has_harvest = has_harvest or examination.has_harvest
         if on_frame is not None:
             on_frame(done, len(indices))
@@ -167,7 +169,7 @@ def check_dataset(
         )
         if finding.kind != "incomplete" or finding.index not in incomplete
     )
-    notes = (*comparison.outlier_scenes(), *drawn.notes(), *exposures.notes())
+    notes = (*comparison.outlier_scenes(), *drawn.notes(), *exposures.notes(), *errors.notes())
     return CheckResult(sort_findings(findings), len(indices), notes)
 
 

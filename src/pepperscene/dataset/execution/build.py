@@ -20,6 +20,7 @@ from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
 from pepperscene.dataset.store.journal import JOURNAL, Journal
+from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS
 
@@ -92,11 +93,13 @@ class BuildResult:
         dataset: the data set in its folder.
         made: indices of the frames that were rendered, or got further outputs.
         kept: indices of the frames that existed already.
+        notes: sentences for the user, such as that the rendering error is above its target.
     """
 
     dataset: Dataset
     made: tuple[int, ...]
     kept: tuple[int, ...]
+    notes: tuple[str, ...] = ()
 
 
 def build(
@@ -152,7 +155,8 @@ def build(
                 _write_tables(folder.dataset, journal)
             raise
     kept = set(indices).difference(reporter.made)
-    return BuildResult(folder.dataset, tuple(sorted(reporter.made)), tuple(sorted(kept)))
+    notes = tuple(reporter.errors.notes())
+    return BuildResult(folder.dataset, tuple(sorted(reporter.made)), tuple(sorted(kept)), notes)
 
 
 def choose_executor(options: BuildOptions) -> Executor:
@@ -191,6 +195,8 @@ class _Reporter:
         self._on_frame, self._on_notice = on_frame, on_notice
         self._throughput = Throughput(len(indices))
         self._preview = next((name for name in _PREVIEWS if name in job.outputs), None)
+        self._target = job.resolved_target
+        self.errors = RenderingErrors()
         self.made: list[int] = []
 
     def report(self, done: FrameDone) -> None:
@@ -204,6 +210,7 @@ class _Reporter:
         except OSError as error:
             raise write_error(error, self._dataset.folder) from None
         throughput.count(done.made)
+        self.errors.add(self._target, done.row.get("error_codes"), done.row.get("noise_codes"))
         if done.made:
             self.made.append(done.index)
             if len(self.made) == 1:

@@ -91,6 +91,13 @@ class BuildJob:
         return cls(resolved, path, names, options.quality, options.target_error, options.renderer)
 
     @cached_property
+    def resolved_target(self) -> float | None:
+        """The error over the sensor noise at which sampling stops; None for a fixed number of samples."""
+        from pepperscene.render import resolve_quality
+
+        return resolve_quality(self.quality, self.target_error).target
+
+    @cached_property
     def info(self) -> dict[str, Any]:
         """Content of `dataset.json`: everything that frames depend on except their index."""
         quality, identity, expect = self.quality, self.recipe.identity, self.recipe.recipe.expect

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, correct_colours, expected_electrons, pedestal
+from pepperscene.frame import is_target_met
 from pepperscene.render.transport.accumulate import SampleAccumulator, TracedLight
 
 VARIANCE_GAIN: Final = 0.8
@@ -77,14 +78,16 @@ class AdaptiveSampler:
         of_mean += variance.indirect * np.float32(self._indirect_factor / max(variance.indirect_samples, 1))
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))
+        # Both are 0 in an overexposed image.
+        ratio = rms_error / rms_noise if rms_noise > 0.0 else 0.0
         return {
             "target": self.target,
             "samples_per_pixel": float(variance.samples.mean()),
             "soft_samples_per_pixel": variance.indirect_samples,
             "error_codes": rms_error,
             "noise_codes": rms_noise,
-            # Both are 0 in an overexposed image.
-            "error_to_noise": rms_error / rms_noise if rms_noise > 0.0 else 0.0,
+            "error_to_noise": ratio,
+            "target_met": None if self.target is None else is_target_met(ratio, self.target),
             "below_half_of_noise": float((error <= 0.25 * noise).mean()),
         }
 
