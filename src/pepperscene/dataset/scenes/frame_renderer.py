@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -11,11 +13,12 @@ import numpy as np
 
 from pepperscene.dataset.recipe.frame_setups import FrameSetup, FrameSetups
 from pepperscene.dataset.recipe.load import resolve_recipe
-from pepperscene.dataset.recipe.load_camera import GRID_STEP_NM, surface_wavelengths
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.dataset.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder, make_greenhouse
+from pepperscene.dataset.scenes.surfaces import SurfaceFactory
 from pepperscene.dataset.views.camera_views import CameraViews
 from pepperscene.frame import OUTPUTS, Frame
 
@@ -81,8 +84,8 @@ class _HeldScene:
 class FrameRenderer:
     """Renders the frames of a recipe in any order.
 
-    The plants of one set and the renderer of one scene are held at a time, so memory does not grow with the
-    number of frames; in ascending order of the indices each is made once.
+    The plants of one set, the surfaces of one cultivar and the renderer of one scene are held at a time, so
+    memory does not grow with the number of frames; in ascending order of the indices each is made once.
 
     Attributes:
         resolved: the recipe with the files that it names; also as `recipe` and `cultivar`.
@@ -116,6 +119,7 @@ class FrameRenderer:
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
         self._skies: dict[tuple[int, str, str], Sky | None] = {}
+        self._surfaces = SurfaceFactory()
 
     def render(self, spec: FrameSpec, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """Render one frame.
@@ -159,17 +163,21 @@ class FrameRenderer:
         from pepperscene.scene import assemble_scene
 
         setup = self.setups.at(spec)
-        built = self._builder(setup).scene(spec.set, spec.rotation)
-        others = self._frames_of_scene(spec, setup)
-        mesh = self._cull(built.mesh, others) if self.culled else built.mesh
+        builder, others = self._builder(setup), self._frames_of_scene(spec, setup)
+        # Surfaces and sky do not depend on the row, whose contacts keep one core busy.
+        builder.plants(spec.set)
+        beside = traced and builder.shares_work
+        optics = functools.partial(self._optics, spec, setup, others, other_process=beside)
+        with ThreadPoolExecutor(1) as pool:
+            pending = pool.submit(optics) if beside else None
+            built = builder.scene(spec.set, spec.rotation)
+            mesh = self._cull(built.mesh, others) if self.culled else built.mesh
+        surfaces, sky = pending.result() if pending else optics() if traced else (None, None)
         statistics = {
             "contacts": asdict(built.contacts),
             "geometry": {"triangles": len(mesh.faces), "of": len(built.mesh.faces)},
         }
-        if not traced:
-            return AssembledScene(assemble_scene(mesh, skeleton=built.skeleton), statistics)
-        scene = assemble_scene(mesh, self._surfaces(setup, others), self.sky(spec), built.skeleton)
-        return AssembledScene(scene, statistics)
+        return AssembledScene(assemble_scene(mesh, surfaces, sky, built.skeleton), statistics)
 
     def sky(self, spec: FrameSpec) -> Sky | None:
         """The daylight of a frame, or None if the recipe has none."""
@@ -242,15 +250,17 @@ class FrameRenderer:
             [_light_reach(setup, camera) for setup in distinct.values() for camera in _exposures(setup)]
         )
 
-    def _surfaces(self, setup: FrameSetup, specs: Sequence[FrameSpec]) -> dict[str, Surface]:
-        """The optics of all surfaces, over the wavelengths that any camera of some frames detects."""
-        from pepperscene.materials import greenhouse_surfaces, organ_surfaces
-
+    def _optics(
+        self, spec: FrameSpec, setup: FrameSetup, specs: Sequence[FrameSpec], *, other_process: bool
+    ) -> tuple[dict[str, Surface], Sky | None]:
+        """The surfaces of a scene over the wavelengths that any camera of its frames detects, and its sky."""
         cameras = {other.optics: other.camera for other in map(self.setups.at, specs)}
         ranges = [surface_wavelengths(camera.sensor) for camera in cameras.values()]
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
-        nm = np.arange(first, last + GRID_STEP_NM / 2, GRID_STEP_NM)
-        return {**organ_surfaces(setup.cultivar, nm), **greenhouse_surfaces(nm)}
+        surfaces = self._surfaces.surfaces(
+            setup.cultivar, float(first), float(last), other_process=other_process
+        )
+        return surfaces, self.sky(spec)
 
 
 def _exposures(setup: FrameSetup) -> list[Camera]:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 PROCESSES: Final = "PEPPERSCENE_PROCESSES"
 """Environment variable: processes that make the plants of a set, 1 or 2."""
 
-_MIN_SHARED_PLANTS: Final = 6  # chosen: a process takes as long to start as three plants take to make
+MIN_SHARED_PLANTS: Final = 6  # chosen: a process takes as long to start as three plants take to make
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +209,7 @@ def make_plants(factory: PlantFactory, set_index: int, count: int, processes: in
     With two processes the first label frame of `barth2018` takes 4.5 s instead of 5.0 (two cores).
     """
     pending, plants = deque(range(count)), dict[int, PlacedPlant]()
-    if processes == 2 and count >= _MIN_SHARED_PLANTS:
+    if processes == 2 and count >= MIN_SHARED_PLANTS:
         # Without a second process, or when it fails, the plants are made here, where errors are reported.
         with suppress(OSError):
             _make_in_two_processes(factory, set_index, pending, plants)

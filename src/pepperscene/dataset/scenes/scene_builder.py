@@ -12,7 +12,13 @@ import numpy as np
 from pepperscene.dataset.recipe.plan import Stream, random_generator, rotate_row
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import GreenhouseTable
-from pepperscene.dataset.scenes.plants import PlacedPlant, PlantFactory, make_plants, plant_processes
+from pepperscene.dataset.scenes.plants import (
+    MIN_SHARED_PLANTS,
+    PlacedPlant,
+    PlantFactory,
+    make_plants,
+    plant_processes,
+)
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
@@ -111,6 +117,11 @@ class SceneBuilder:
             count = self.row.front + self.row.back
             self._set = set_index, make_plants(self._factory, set_index, count, self._processes)
         return self._set[1]
+
+    @property
+    def shares_work(self) -> bool:
+        """Whether another process takes a part of the work: with two processes, and plants enough."""
+        return self._processes == 2 and self.row.front + self.row.back >= MIN_SHARED_PLANTS
 
     @cached_property
     def row(self) -> DoubleRow:

@@ -1,0 +1,70 @@
+"""The surfaces of scenes, made beside the row by another process where there are two cores."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pepperscene.dataset.recipe.load_camera import GRID_STEP_NM
+from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess
+
+if TYPE_CHECKING:
+    from pepperscene.cultivar import Cultivar
+    from pepperscene.materials import Surface
+
+
+class SurfaceFactory:
+    """Makes the surfaces of cultivars; those of the last one are kept, because scenes share it."""
+
+    def __init__(self) -> None:
+        self._kept: tuple[tuple[Cultivar, float, float], dict[str, Surface]] | None = None
+
+    def surfaces(
+        self, cultivar: Cultivar, first_nm: float, last_nm: float, *, other_process: bool = False
+    ) -> dict[str, Surface]:
+        """The surfaces of a cultivar and of the greenhouse by name.
+
+        Args:
+            cultivar: its organs.
+            first_nm: first wavelength, nanometres.
+            last_nm: last wavelength, nanometres.
+            other_process: start a process for them, so that threads of this one can work meanwhile.
+        """
+        key = cultivar, first_nm, last_nm
+        if self._kept is None or self._kept[0] != key:
+            # Release the old surfaces before making new ones.
+            self._kept = None
+            made = _fetch_surfaces(*key) if other_process else None
+            self._kept = key, make_surfaces(*key) if made is None else made
+        return self._kept[1]
+
+
+def _fetch_surfaces(cultivar: Cultivar, first_nm: float, last_nm: float) -> dict[str, Surface] | None:
+    """The surfaces, made by another process; None if it cannot be started or fails."""
+    try:
+        worker = WorkerProcess(__name__)
+    except OSError:
+        return None
+    try:
+        worker.send(None)
+        made: dict[str, Surface] = worker.call((cultivar, first_nm, last_nm))
+    except (OSError, EOFError):
+        return None
+    finally:
+        worker.close()
+    return made
+
+
+def make_surfaces(cultivar: Cultivar, first_nm: float, last_nm: float) -> dict[str, Surface]:
+    """The surfaces of a cultivar and of the greenhouse by name, in this process."""
+    from pepperscene.materials import greenhouse_surfaces, organ_surfaces
+
+    nm = np.arange(first_nm, last_nm + GRID_STEP_NM / 2, GRID_STEP_NM)
+    return {**organ_surfaces(cultivar, nm), **greenhouse_surfaces(nm)}
+
+
+def serve(connection: Connection) -> None:
+    """Make the requested surfaces, in a worker process."""
+    for request in connection:
+        connection.send(make_surfaces(*request))

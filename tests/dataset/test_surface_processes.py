@@ -1,0 +1,103 @@
+"""Surfaces made by another process, beside the row of a scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from pepperscene.cultivar import load_cultivar
+from pepperscene.dataset import FrameRenderer
+from pepperscene.dataset.scenes import surfaces as module
+from pepperscene.dataset.scenes.plants import MIN_SHARED_PLANTS, PROCESSES
+from pepperscene.dataset.scenes.surfaces import SurfaceFactory, make_surfaces
+
+RANGE_NM = (500.0, 520.0)
+
+
+@pytest.fixture(scope="module")
+def kaite():
+    return load_cultivar("kaite")
+
+
+@pytest.fixture(scope="module")
+def expected(kaite):
+    return make_surfaces(kaite, *RANGE_NM)
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The processes that are started."""
+    processes, popen = [], subprocess.Popen
+
+    def start(*args, **kwargs):
+        processes.append(popen(*args, **kwargs))
+        return processes[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    return processes
+
+
+def assert_equal(made, expected):
+    assert list(made) == list(expected)
+    for name, surface in made.items():
+        for field in dataclasses.fields(surface):
+            np.testing.assert_equal(getattr(surface, field.name), getattr(expected[name], field.name))
+
+
+def test_another_process_makes_the_same_surfaces(kaite, expected, started):
+    assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, other_process=True), expected)
+    (process,) = started
+    assert (process.returncode, process.stdin.closed, process.stdout.closed) == (0, True, True)
+
+
+@pytest.mark.parametrize("script", [None, "exit 3", "echo hello"])
+def test_without_a_working_process_they_are_made_here(script, kaite, expected, monkeypatch, tmp_path):
+    program = tmp_path / "python"
+    if script is not None:
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, other_process=True), expected)
+
+
+def test_surfaces_of_the_last_cultivar_are_kept(kaite, monkeypatch):
+    calls = []
+    monkeypatch.setattr(module, "make_surfaces", lambda *key: calls.append(key) or {"leaf": len(calls)})
+    factory, other = SurfaceFactory(), kaite.model_copy(update={"name": "another"})
+    for cultivar, first_nm in (
+        (kaite, 400.0),
+        (kaite, 400.0),
+        (kaite, 410.0),
+        (other, 410.0),
+        (kaite, 410.0),
+    ):
+        factory.surfaces(cultivar, first_nm, 700.0)
+    assert calls == [
+        (kaite, 400.0, 700.0),
+        (kaite, 410.0, 700.0),
+        (other, 410.0, 700.0),
+        (kaite, 410.0, 700.0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("processes", "plants"), [("2", MIN_SHARED_PLANTS), ("1", MIN_SHARED_PLANTS), ("2", 1)]
+)
+def test_scenes_of_few_plants_or_one_process_start_none(processes, plants, recipe, monkeypatch):
+    asked = []
+
+    def surfaces(_self, *_key, other_process):
+        asked.append(other_process)
+        return {}
+
+    monkeypatch.setenv(PROCESSES, processes)
+    monkeypatch.setattr(SurfaceFactory, "surfaces", surfaces)
+    monkeypatch.setattr("pepperscene.scene.assemble_scene", lambda *_args, **_kwargs: None)
+    row = recipe.row.model_copy(update={"plants_front": plants, "plants_back": 0})
+    varied = recipe.model_copy(update={"row": row})
+    FrameRenderer(varied).scene(varied.plan.frame(0))
+    assert asked == [processes == "2" and plants > 1]
