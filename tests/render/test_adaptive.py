@@ -21,11 +21,11 @@ from pepperscene.camera import (
 )
 from pepperscene.render.transport.accumulate import SampleAccumulator
 from pepperscene.render.transport.adaptive import (
-    DENOISED_ERROR,
     VARIANCE_GAIN,
     AdaptiveSampler,
     _variance_scale,
     code_response,
+    denoised_error,
 )
 from pepperscene.spectra import Spectrum
 
@@ -309,7 +309,7 @@ def test_reported_error_follows_from_the_variances(denoised):
     # By hand: Mitchell's equation for direct light, plain Monte Carlo for the rest of the indirect light.
     codes = code_response(accumulator.total(), accumulator.white, camera)
     variance = 0.8 * ndimage.uniform_filter(direct, 3, mode="nearest") * 4**-1.5
-    variance += indirect / 4 * (DENOISED_ERROR**2 if denoised else 1.0)
+    variance += indirect / 4 * (denoised_error(0.5) ** 2 if denoised else 1.0)
     error, noise = codes.per_white**2 * variance, codes.noise**2
     assert reported["error_codes"] == pytest.approx(np.sqrt(error.mean()), rel=5e-3)
     assert reported["noise_codes"] == pytest.approx(np.sqrt(noise.mean()), rel=1e-4)

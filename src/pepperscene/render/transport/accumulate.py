@@ -111,6 +111,14 @@ class SampleAccumulator:
         """`(h, w, c)` mean of all light."""
         return self._image(self._direct_mean() + self._indirect_mean())
 
+    def indirect_share(self) -> float:
+        """Indirect light as part of all light; see `indirect_share`."""
+        indirect, direct = (
+            float((mean * self._per_white).sum(dtype=np.float64))
+            for mean in (self._indirect_mean(), self._direct_mean())
+        )
+        return indirect / (indirect + direct) if indirect > 0.0 else 0.0
+
     def direct_variance(self) -> Images:
         """`(h, w)` see `SampleVariance.direct`."""
         return self._image(_variance(self._direct[-1], self._direct_mean() * self._per_white, self.samples))
@@ -161,6 +169,12 @@ class SampleAccumulator:
         """Reshape `(h * w,)` or `(k, h * w)` to `(h, w)` or `(h, w, k)`."""
         image = values.reshape(*values.shape[:-1], *self._shape)
         return np.ascontiguousarray(image if image.ndim == 2 else np.moveaxis(image, 0, -1), np.float32)
+
+
+def indirect_share(indirect: Images, total: Images, white: NDArray[np.float64]) -> float:
+    """Indirect light as part of all light, summed over pixels and channels in units of `white`."""
+    sums = [float((image.sum(axis=(0, 1), dtype=np.float64) / white).sum()) for image in (indirect, total)]
+    return sums[0] / sums[1] if sums[0] > 0.0 else 0.0
 
 
 def _variance(squares: Images, means: Images, count: Any) -> Images:

@@ -22,13 +22,17 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, correct_colours, expected_electrons, pedestal
 from pepperscene.frame import is_target_met
-from pepperscene.render.transport.accumulate import SampleAccumulator, TracedLight
+from pepperscene.render.transport.accumulate import SampleAccumulator, TracedLight, indirect_share
 
 VARIANCE_GAIN: Final = 0.8
 """Of the equation above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
 samples are distributed by need."""
-DENOISED_ERROR: Final = 0.15
-"""Fraction of the standard error of indirect light after denoising: .14 to .17 for 2 and 4 samples."""
+_INDIRECT_SHARES: Final = (0.2, 0.4)
+_DENOISED_ERRORS: Final = (0.15, 0.19)
+"""Fraction of the standard error of indirect light after denoising, by the share of indirect light in all
+light; chosen: constant outside of these shares, linear between. Measured for 2 to 16 samples: .13 to .17 in
+two frames of `barth2018` by flash (share .04); .17 to .20 in two of `greenhouse` (.6) and one of `randomised`
+(.4) by daylight, where fine shadows in the light of the sky are lost."""
 _GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel grow in one round
 _SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
 _MAX_ERROR: Final = 127.5
@@ -51,7 +55,7 @@ class AdaptiveSampler:
 
     def __init__(self, camera: Camera, target: float | None, max_samples: int, *, denoised: bool) -> None:
         self.camera, self.target, self.max_samples = camera, target, max_samples
-        self._indirect_factor = DENOISED_ERROR**2 if denoised else 1.0
+        self._denoised = denoised
         self._codes: CodeResponse | None = None
 
     def required(self, accumulator: SampleAccumulator) -> NDArray[np.int32]:
@@ -63,7 +67,7 @@ class AdaptiveSampler:
         direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
         indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
         # Direct light may have the error that indirect light leaves of the target, at least half of it.
-        remaining = float(np.mean(indirect)) * self._indirect_factor
+        remaining = float(np.mean(indirect)) * self._indirect_factor(accumulator.indirect_share())
         allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
         allowed = max(allowed - remaining / accumulator.indirect_samples, 0.5 * allowed)
         taken = accumulator.samples
@@ -75,7 +79,8 @@ class AdaptiveSampler:
         variance, codes = light.variance, self._code_response(light.total(), light.variance.white)
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
-        of_mean += variance.indirect * np.float32(self._indirect_factor / max(variance.indirect_samples, 1))
+        factor = self._indirect_factor(indirect_share(light.indirect, light.total(), variance.white))
+        of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))
         # Both are 0 in an overexposed image.
@@ -91,6 +96,10 @@ class AdaptiveSampler:
             "below_half_of_noise": float((error <= 0.25 * noise).mean()),
         }
 
+    def _indirect_factor(self, share: float) -> float:
+        """Fraction of the variance of indirect light that remains; `share` is its part of all light."""
+        return denoised_error(share) ** 2 if self._denoised else 1.0
+
     def _code_response(self, signal: Floats, white: NDArray[np.float64]) -> CodeResponse:
         if self._codes is None:
             self._codes = code_response(signal, white, self.camera)
@@ -103,6 +112,15 @@ class AdaptiveSampler:
         scale = _variance_scale(subset, allowed, self.max_samples)
         samples = np.power(np.maximum(scale * variance, 1e-9), 0.4)
         return np.exp2(np.rint(np.log2(np.clip(samples, 1.0, self.max_samples))))
+
+
+def denoised_error(share: float) -> float:
+    """Fraction of the standard error of indirect light after denoising.
+
+    Args:
+        share: indirect light as part of all light of the image.
+    """
+    return float(np.interp(share, _INDIRECT_SHARES, _DENOISED_ERRORS))
 
 
 def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float:
