@@ -31,11 +31,11 @@ that arrives in penumbras reduces the flash's error from 6.0 to 3.4 codes at 4 s
 16, but increases it from .96 to 1.2 at 64, and costs as much as four more samples.
 
 The filter is told that its guides have no noise (`clean_aux`), because they have all samples of a pixel. By
-daylight, on frame 0 of `greenhouse` with 8 samples of the light of sky and leaves, its error is then 5.3 instead
-of 5.7 codes, of which 3.8 are the same for all seeds: six tenths of their square at borders of organs, which
-share their colour, and a quarter within four pixels of these. Tried there, without gain: albedo or normals that
-differ from organ to organ (5.5 to 9.3), smooth normals (5.3), distance as a guide (5.7), regression of what the
-filter removes on albedo and normals (5.6 to 7.2).
+daylight, on frame 0 of `greenhouse` with 8 samples of the light of sky and leaves, its error is then 5.3
+instead of 5.7 codes, of which 3.8 are the same for all seeds: six tenths of their square at borders of
+organs, which share their colour, and a quarter within four pixels of these. Tried there, without gain:
+albedo or normals that differ from organ to organ (5.5 to 9.3), smooth normals (5.3), distance as a guide
+(5.7), regression of what the filter removes on albedo and normals (5.6 to 7.2).
 """
 
 from __future__ import annotations
