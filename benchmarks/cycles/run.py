@@ -27,13 +27,12 @@ from cycles_scene import undistorted
 from cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
 
 from pepperscene.bench.measure import BenchResult
+from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.records import FORMAT, describe_machine, machine_info, result_json, write_results
 from pepperscene.bench.reference import Errors, Reference, check_packages, measure_errors
 from pepperscene.bench.report import (
-    Panel,
     format_error,
     markdown_table,
-    plot_pareto,
     ratio_table,
     time_ratios,
 )

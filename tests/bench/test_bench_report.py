@@ -7,13 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pepperscene.bench.measure import BenchResult
+from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.reference import Errors, SquaredError
 from pepperscene.bench.report import (
-    Panel,
     format_error,
     format_time,
     pareto_front,
-    plot_pareto,
     ratio_table,
     relative_path_time,
     result_table,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import json
 from xml.etree import ElementTree
 
@@ -17,6 +18,7 @@ from pepperscene.bench.scenes import resize_camera
 from pepperscene.bench.settings import ADAPTIVE, NAMED, settings
 from pepperscene.camera import develop, expected_electrons
 from pepperscene.cli import app
+from pepperscene.cli.machine import bench
 from pepperscene.dataset import FrameRenderer
 from pepperscene.errors import InputError
 
@@ -195,6 +197,13 @@ def test_invalid_options_give_one_line_and_exit_code_2(tmp_path, monkeypatch, ar
     assert message in result.stderr
     assert result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_defaults_of_the_command_are_those_of_the_function():
+    command = inspect.signature(inspect.unwrap(bench)).parameters
+    function = inspect.signature(run_benchmark).parameters
+    assert command["budget"].default == function["budget_s"].default == 900.0
+    assert command["runs"].default == function["runs"].default
 
 
 def test_names_and_sizes_are_parsed():

@@ -92,7 +92,7 @@ class Errors:
     Attributes:
         codes: error of the developed, noise-free image in 8-bit codes, linearised about the reference and not
             rounded to whole codes, which would add 0.3 codes; its mean is in squared codes.
-        relative: mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over electrons.
+        relative: mean of (x - r)^2 / (s^2 + 0.01 mean(s)^2) over electrons, s being the slightly smoothed r.
         flip: mean of FLIP (Andersson et al. 2020) at 67 pixels per degree, 0 to 1, against the mean of the
             references; the noise of the references is included.
     """
