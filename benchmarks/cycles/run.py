@@ -3,10 +3,10 @@
     export PEPPERSCENE_BPY_PYTHON=~/venv_bpy/bin/python
     python benchmarks/cycles/run.py --out out/cycles --bench out/bench
 
-Errors are root mean squares in 8-bit codes of the developed, noise-free picture, against Cycles' own
-reference; the error of the reference itself, estimated from the spread of its frames, is subtracted in
-squares. With `--bench`, the results of `pepperscene bench` in that folder are compared at equal error, and
-plotted as well.
+Errors are root mean squares in 8-bit codes of the developed, noise-free picture, against two independent
+halves of Cycles' own reference, whose noise cancels (see `pepperscene.bench.reference`). With `--bench`, the
+results of `pepperscene bench` in that folder are compared at equal error, as far as both programs have
+measured it, and plotted as well. The scene `nir` cannot be rendered: Cycles has three channels.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import math
 import os
 import statistics
 import sys
@@ -28,13 +27,22 @@ from cycles_scene import undistorted
 from cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
 
 from pepperscene.bench.measure import BenchResult
-from pepperscene.bench.records import describe_machine, machine_info, result_json, write_results
-from pepperscene.bench.reference import Errors, check_packages, develop_codes, measure_errors, relative_mse
-from pepperscene.bench.report import markdown_table, plot_pareto, ratio_table, time_ratios
-from pepperscene.bench.scenes import SCENES, parse_size, resize_camera, select_scenes
+from pepperscene.bench.plot import Panel, plot_pareto
+from pepperscene.bench.records import FORMAT, describe_machine, machine_info, result_json, write_results
+from pepperscene.bench.reference import Errors, Reference, check_packages, measure_errors
+from pepperscene.bench.report import (
+    format_error,
+    markdown_table,
+    ratio_table,
+    time_ratios,
+)
+from pepperscene.bench.scenes import SCENES, BenchScene, parse_size, resize_camera, select_scenes
 from pepperscene.camera import Camera
 from pepperscene.dataset import FrameRenderer
 from pepperscene.errors import ArgumentError, InputError, PepperError
+
+CYCLES_SCENES = [name for name in SCENES if name != "nir"]
+"""Benchmark scenes whose camera has three channels."""
 
 FAMILIES = {
     "Cycles, raw": "Cycles, raw",
@@ -50,69 +58,56 @@ def plot_family(setting: CyclesSetting) -> str:
     return f"Cycles, {' '.join([*parts, 'denoised' if setting.denoise else 'raw'])}"
 
 
-def reference_error(reference: CyclesRun, camera: Camera) -> tuple[float, float]:
-    """RMSE in codes and relative MSE of the mean of a run's frames (two at least), from their spread."""
-    codes = np.stack([develop_codes(image, undistorted(camera)) for image in reference.images])
-    mean = reference.images.mean(axis=0, dtype=float)
-    first, second = (reference.images[half::2].mean(axis=0, dtype=float) for half in (0, 1))
-    error = float(np.sqrt(codes.var(axis=0, ddof=1).mean() / len(codes)))
-    return error, relative_mse(mean + (first - second) / 2, mean)
+def make_reference(run: CyclesRun, camera: Camera) -> Reference:
+    """Two halves of a run's frames, of which there are at least two."""
+    halves = np.stack([run.images[half::2].mean(axis=0, dtype=float) for half in (0, 1)])
+    return Reference(halves, undistorted(camera), len(run.images), sum(run.seconds))
 
 
-def evaluate(
-    runs: Sequence[CyclesRun], reference: CyclesRun, camera: Camera, scene: str
-) -> list[BenchResult]:
-    """Errors of each setting's frames against the mean of the reference, averaged as squares."""
-    mean = reference.images.mean(axis=0, dtype=float).astype(np.float32)
-    reference_codes, reference_relative = reference_error(reference, camera)
-    results = []
-    for run in runs:
-        errors = [measure_errors(image, mean, undistorted(camera)) for image in run.images]
-        mean_errors = Errors(
-            math.sqrt(statistics.fmean(error.rmse_codes**2 for error in errors)),
-            statistics.fmean(error.relative_mse for error in errors),
-            statistics.fmean(error.flip for error in errors),
+def evaluate(runs: Sequence[CyclesRun], reference: Reference, scene: str) -> list[BenchResult]:
+    """Errors of each setting's frames against the reference, averaged as squares."""
+    return [
+        BenchResult(
+            scene,
+            plot_family(run.setting),
+            run.setting.name,
+            dataclasses.asdict(run.setting),
+            measure_errors(run.images, reference),
+            run.seconds,
+            statistics.median(run.seconds) + run.fixed_seconds,
+            variant=f"Blender {run.blender}",
         )
-        results.append(
-            BenchResult(
-                scene,
-                plot_family(run.setting),
-                run.setting.name,
-                dataclasses.asdict(run.setting),
-                mean_errors.subtract(reference_codes, reference_relative),
-                run.seconds,
-                statistics.median(run.seconds) + run.fixed_seconds,
-                variant=f"Blender {run.blender}",
-            )
-        )
-    return results
+        for run in runs
+    ]
 
 
-def cycles_table(results: Sequence[BenchResult], runs: Sequence[CyclesRun], reference: CyclesRun) -> str:
+def cycles_table(results: Sequence[BenchResult], runs: Sequence[CyclesRun], reference: Reference) -> str:
     """Time, error, mean brightness relative to the reference, and memory of each setting."""
     rows = [
         (
             result.name,
             f"{result.median_s:.1f}",
-            f"{result.errors.rmse_codes:.2f}",
-            f"{run.images.mean(dtype=float) / reference.images.mean(dtype=float):.4f}",
+            format_error(result.errors.codes),
+            f"{run.images.mean(dtype=float) / reference.electrons.mean():.4f}",
             f"{run.peak_mib:.0f}",
         )
         for result, run in zip(results, runs, strict=True)
     ]
-    return markdown_table(("setting", "s per frame", "codes", "brightness", "MiB"), rows)
+    return markdown_table(("setting", "s per frame", "error, codes", "brightness", "MiB"), rows)
 
 
 def read_results(folder: Path, scene: str, size: tuple[int, int]) -> list[BenchResult]:
     """Results of `pepperscene bench` for a scene.
 
     Raises:
-        InputError: there are none for the scene at this size.
+        InputError: there are none for the scene at this size, or of another version of the file format.
     """
     file = folder / "results.json"
     if not file.is_file():
         raise InputError(file, "does not exist; run `pepperscene bench` first")
     content = json.loads(file.read_text(encoding="utf-8"))
+    if content.get("format") != FORMAT:
+        raise InputError(file, "was written by another version; run `pepperscene bench` again")
     if content["scenes"].get(scene, {}).get("size") != list(size):
         raise InputError(file, f"has no results for the scene {scene} with {size[0]}x{size[1]} pixels")
     return [
@@ -121,7 +116,7 @@ def read_results(folder: Path, scene: str, size: tuple[int, int]) -> list[BenchR
             row["family"],
             row["name"],
             row["effort"],
-            Errors(row["rmse_codes"], row["relative_mse"], row["flip"]),
+            Errors.from_json(row["errors"]),
             tuple(row["seconds"]),
             row["first_s"],
         )
@@ -140,46 +135,69 @@ def measure(
     threads: int,
     bench: Path | None,
 ) -> str:
-    """Render a benchmark scene with Cycles, write `cycles.*`, and return the tables as Markdown."""
-    (bench_scene,) = select_scenes(scene_name)
+    """Render a benchmark scene with Cycles, write `cycles.*`, and return the tables as Markdown.
+
+    Raises:
+        InputError: the scene is unknown or monochrome, or `bench` has no results for it.
+        OutputError: the folder cannot be written.
+        SetupError: bpy is missing, or Blender failed.
+    """
+    bench_scene = select_scene(scene_name)
     recipe = bench_scene.load()
     renderer, frame = FrameRenderer(recipe), recipe.plan.frame(bench_scene.index)
     camera = resize_camera(renderer.camera(frame), size)
+    if camera.sensor.channels != 3:
+        raise ArgumentError("scene", f"{scene_name!r} has a monochrome sensor; Cycles renders three channels")
     pixels = (camera.width, camera.height)
     ours = [] if bench is None else read_results(bench, scene_name, pixels)
     machine = machine_info()
 
-    *runs, reference = render_cycles(
+    *runs, reference_run = render_cycles(
         renderer.scene(frame), camera, [*settings, reference_setting], folder / "blender", frames, threads
     )
-    results = evaluate(runs, reference, camera, scene_name)
-    error, _ = reference_error(reference, camera)
+    reference = make_reference(reference_run, camera)
+    results = evaluate(runs, reference, scene_name)
     introduction = (
-        f"Cycles (Blender {reference.blender}) on `{scene_name}`, {pixels[0]}x{pixels[1]}, "
+        f"Cycles (Blender {reference_run.blender}) on `{scene_name}`, {pixels[0]} × {pixels[1]} pixels, "
         f"{threads or os.cpu_count()} threads. The first frame of a scene takes "
-        f"{reference.fixed_seconds:.1f} s more. Errors are against Cycles' own reference, whose error is "
-        f"{error:.2f} codes."
+        f"{reference_run.fixed_seconds:.1f} s more. Errors are against two halves of Cycles' own reference, "
+        f"whose noise cancels; the error of their mean is {reference.error_codes:.2g} codes."
     )
     parts = [describe_machine(machine), introduction, cycles_table(results, runs, reference)]
     ratios = time_ratios([*ours, *results], FAMILIES) if ours else []
     if ratios:
-        parts += ["Time at equal error (*: extrapolated):", ratio_table(ratios)]
+        parts += ["Time at equal error, interpolated between measured settings:", ratio_table(ratios)]
     markdown = "\n\n".join(parts) + "\n"
     content: dict[str, Any] = {
         "machine": machine,
         "scene": scene_name,
         "size": pixels,
-        "reference_error_codes": error,
+        "reference_error_codes": reference.error_codes,
         "measured": [
             {**result_json(result), "peak_mib": run.peak_mib}
             for result, run in zip(results, runs, strict=True)
         ],
         "ratios": [{**dataclasses.asdict(ratio), "times": ratio.times} for ratio in ratios],
     }
-    plots = plot_pareto([*ours, *results], f"Cycles: {scene_name}", bench_scene.description, error)
+    panel = Panel(
+        f"{scene_name}, {pixels[0]} × {pixels[1]} pixels", bench_scene.description, [*ours, *results]
+    )
+    plots = plot_pareto([panel], "Rendering time and error of a frame; lower left is better")
     others = {f"pareto_{scene_name}.{suffix}": plot for suffix, plot in plots.items()}
     write_results(folder, "cycles", content, markdown, others)
     return markdown
+
+
+def select_scene(name: str) -> BenchScene:
+    """The benchmark scene of a name.
+
+    Raises:
+        InputError: the name is unknown, or several are given.
+    """
+    scenes = select_scenes(name)
+    if len(scenes) != 1:
+        raise ArgumentError("scene", "must be a single scene")
+    return scenes[0]
 
 
 def select_settings(names: str) -> list[CyclesSetting]:
@@ -202,7 +220,9 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
-    parser.add_argument("--scene", default="standard", help=f"one of {', '.join(SCENES)} (default: standard)")
+    parser.add_argument(
+        "--scene", default="flash", help=f"one of {', '.join(CYCLES_SCENES)} (default: flash)"
+    )
     parser.add_argument("--size", default="", help="WIDTHxHEIGHT (default: the camera's own)")
     parser.add_argument("--settings", default="", help="comma-separated names of settings (default: all)")
     parser.add_argument("--frames", type=int, default=1, help="frames of each setting (default: 1)")

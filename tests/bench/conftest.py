@@ -36,10 +36,16 @@ class NoisyRenderer:
 
 
 @pytest.fixture(scope="session")
-def camera():
-    """The camera of the standard scene, with few pixels."""
+def full_camera():
+    """The camera of the scene `flash`."""
     recipe = load_recipe("barth2018")
-    return resize_camera(FrameRenderer(recipe).camera(recipe.plan.frame(125)), (24, 18))
+    return FrameRenderer(recipe).camera(recipe.plan.frame(125))
+
+
+@pytest.fixture(scope="session")
+def camera(full_camera):
+    """The camera of the scene `flash`, with few pixels."""
+    return resize_camera(full_camera, (24, 18))
 
 
 @pytest.fixture(scope="session")

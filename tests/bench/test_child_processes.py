@@ -12,6 +12,7 @@ import trimesh
 from pepperscene.bench import SCENES, measure_scaling, profile_frames
 from pepperscene.bench.frames_child import FramesTask, subdivide_mesh
 from pepperscene.bench.profile import run_child, run_children
+from pepperscene.bench.scaling import fit_slope
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import SetupError
 from pepperscene.geometry import mesh_plant
@@ -99,7 +100,7 @@ def simulated_children(monkeypatch):
                 "plants": {"grow": 0.4, "mesh": 0.5},
                 "frames": [{**frame, "trace": 3.0}] + [frame] * task.frames,
                 "peaks_mib": [100.0] * (task.frames + 1),
-                "triangles": 1000,
+                "triangles": 1000 * 4**task.divided,
                 "size": [32, 24],
                 "variant": "simulated",
             }
@@ -123,6 +124,13 @@ def test_profile_has_the_times_of_all_stages(tmp_path, simulated_children):
     assert {task.quality for task in simulated_children} == {"draft"}
 
 
+def test_slopes_of_power_laws():
+    plants = [{"plants": count, "frame_s": 0.3 * count**0.7} for count in (1, 3, 7, 13)]
+    assert fit_slope(plants, "plants") == pytest.approx(0.7)
+    pixels = [{"pixels": f"{4 * n}x{3 * n}", "frame_s": 2.0 * (12 * n * n) ** 0.93} for n in (1, 2, 4)]
+    assert fit_slope(pixels, "pixels") == pytest.approx(0.93)
+
+
 def test_scaling_has_one_table_for_each_quantity(tmp_path, simulated_children):
     result = measure_scaling(tmp_path, [SCENES["near"]], (32, 24), runs=2, quick=True)
     tables = json.loads((tmp_path / "scaling.json").read_text())["scenes"]["near"]
@@ -131,5 +139,11 @@ def test_scaling_has_one_table_for_each_quantity(tmp_path, simulated_children):
     assert tables["frames"][-1]["together_s"] == pytest.approx(8 * 1.2 + 2.0 + 1.8)
     assert tables["workers"][1]["frames_per_s"] == pytest.approx(2 / 1.2)
     assert [row["pixels"] for row in tables["pixels"]] == ["8x6", "16x12", "32x24"]
+    # All frames take the same time.
+    assert result.markdown.count("The time of a frame grows as ") == 3
+    for quantity in ("plants", "triangles", "pixels"):
+        assert f"The time of a frame grows as {quantity}^0.00." in result.markdown
+        slopes = json.loads((tmp_path / "scaling.json").read_text())["slopes"]["near"]
+        assert slopes[quantity] == pytest.approx(0.0, abs=1e-12)
     for block in result.markdown.split("\n\n"):
         assert len({line.count("|") for line in block.splitlines()}) == 1

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import json
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from conftest import NoisyRenderer
 from PIL import Image
 from typer.testing import CliRunner
 
 from pepperscene.bench import SCENES, parse_size, run, run_benchmark, select_scenes
 from pepperscene.bench.scenes import resize_camera
-from pepperscene.bench.settings import NAMED, settings
+from pepperscene.bench.settings import ADAPTIVE, NAMED, settings
 from pepperscene.camera import develop, expected_electrons
 from pepperscene.cli import app
+from pepperscene.cli.machine import bench
+from pepperscene.dataset import FrameRenderer
 from pepperscene.errors import InputError
 
-FILES = {"results.json", "results.csv", "results.md", "pareto_near.png", "pareto_near.svg"}
+FILES = {"results.json", "results.csv", "results.md", "pareto.png", "pareto.svg"}
 NEAR = [SCENES["near"]]
 
 
@@ -32,7 +36,8 @@ def test_files_hold_all_measurements(tmp_path):
     content = json.loads((tmp_path / "out" / "results.json").read_text())
     assert {"date", "cpu", "cores", "system", "python", "packages"} <= set(content["machine"])
     assert content["machine"]["packages"]["mitsuba"]
-    assert content["asked"] == {"size": [16, 12], "runs": 2, "budget_s": 60.0, "quick": True}
+    asked = {"size": [16, 12], "runs": 2, "budget_s": 60.0, "quick": True, "all_settings": False}
+    assert content["asked"] == asked
     assert content["scenes"]["near"]["reference"]["error_codes"] > 0.0
     names = [(setting.family, setting.name) for setting in settings(quick=True)]
     assert [(row["family"], row["name"]) for row in content["measured"]] == names
@@ -40,7 +45,9 @@ def test_files_hold_all_measurements(tmp_path):
         table = list(csv.DictReader(file))
     for line, row in zip(table, content["measured"], strict=True):
         assert len(row["seconds"]) == 2
-        assert row["rmse_codes"] > 0.0
+        assert row["rmse_codes"] > 2.0 * row["rmse_codes_uncertainty"] > 0.0
+        assert row["rmse_codes_limit"] is None
+        assert line["rmse_codes_limit"] == ""
         assert (line["family"], line["integrator"]) == (row["family"], row["effort"]["integrator"])
         assert [float(line[f"run_{n}_s"]) for n in (1, 2)] == row["seconds"]
         assert float(line["rmse_codes"]) == row["rmse_codes"]
@@ -48,11 +55,61 @@ def test_files_hold_all_measurements(tmp_path):
     assert "nan" not in result.markdown
     assert any("round 2 of 2" in line for line in lines)
 
-    with Image.open(tmp_path / "out" / "pareto_near.png") as plot:
+    with Image.open(tmp_path / "out" / "pareto.png") as plot:
         assert min(plot.size) >= 600
-    svg = ElementTree.parse(tmp_path / "out" / "pareto_near.svg")
+    svg = ElementTree.parse(tmp_path / "out" / "pareto.svg")
     words = {"".join(text.itertext()) for text in svg.iter("{http://www.w3.org/2000/svg}text")}
-    assert {setting.family for setting in settings(quick=True)} | {"draft", NAMED} <= words
+    assert {"draft", "standard", "16 spp", NAMED, ADAPTIVE} <= words
+
+
+@pytest.mark.usefixtures("noisy_scenes")
+def test_all_scenes_are_in_one_table_and_one_plot(tmp_path):
+    result = run_benchmark(tmp_path, size=(16, 12), runs=1, quick=True)
+    rows = [line.split(" | ")[0][2:] for line in result.markdown.splitlines() if line.startswith("| ")]
+    assert list(dict.fromkeys(rows)) == ["scene", "flash", "daylight", "nir", "near"]
+    svg = (tmp_path / "pareto.svg").read_text()
+    assert svg.count("16 × 12 pixels") == 4
+    # The noise of the sensor's single channel is not averaged over three.
+    content = json.loads((tmp_path / "results.json").read_text())
+    assert {row["scene"] for row in content["measured"]} == set(SCENES)
+
+
+@pytest.mark.usefixtures("noisy_scenes")
+def test_errors_below_the_noise_are_stated_as_limits(tmp_path, monkeypatch):
+    # All images are exact, but the two of the reference are not.
+    render = NoisyRenderer.render
+
+    def render_exact(self, camera, outputs=(), quality="standard", seed=0):
+        frame = render(self, camera, outputs, quality, seed)
+        if seed < 1_000_000:
+            frame.images["electrons"] = np.full_like(frame.images["electrons"], self.level_e)
+        return frame
+
+    monkeypatch.setattr(NoisyRenderer, "render", render_exact)
+    result = run_benchmark(tmp_path, NEAR, (64, 48), runs=1, quick=True)
+    rows = json.loads((tmp_path / "results.json").read_text())["measured"]
+    limits = [row for row in rows if row["rmse_codes"] is None]
+    # Every image is the same; the product with a fixed reference is measurable in 2 % of the cases.
+    assert len(limits) == len(rows)
+    assert all(row["rmse_codes_limit"] > 0.0 and row["rmse_codes_uncertainty"] is None for row in limits)
+    table = [line for line in result.markdown.splitlines() if line.startswith("| near")]
+    assert all("| < " in line and line.endswith("| – |") for line in table)
+
+
+@pytest.mark.usefixtures("noisy_scenes")
+@pytest.mark.parametrize(("budget_s", "samples"), [(60.0, 32), (float("inf"), 256)])
+def test_references_within_a_budget_have_small_images(tmp_path, monkeypatch, budget_s, samples):
+    seen = set()
+    render = NoisyRenderer.render
+
+    def render_seen(self, camera, outputs=(), quality="standard", seed=0):
+        if seed >= 1_000_000:
+            seen.add(quality.samples)
+        return render(self, camera, outputs, quality, seed)
+
+    monkeypatch.setattr(NoisyRenderer, "render", render_seen)
+    run_benchmark(tmp_path, NEAR, (16, 12), runs=1, budget_s=budget_s)
+    assert seen == {samples}
 
 
 @pytest.mark.usefixtures("noisy_scenes")
@@ -95,18 +152,38 @@ def test_scenes_load_with_neighbouring_frames():
     for scene in SCENES.values():
         recipe = scene.load()
         assert 0 < recipe.plan.frame(scene.index).step < recipe.plan.frames - 10
+    assert list(SCENES) == ["flash", "daylight", "nir", "near"]
+
+
+def test_near_infrared_scene_has_a_monochrome_camera():
+    scene = SCENES["nir"]
+    recipe = scene.load()
+    camera = FrameRenderer(recipe).camera(recipe.plan.frame(scene.index))
+    assert camera.sensor.channels == 1
+    efficiency, light = camera.sensor.quantum_efficiency, camera.flash.spectrum
+    # The filter and the lamp leave a band around 850 nm.
+    nm = np.arange(400.0, 1000.0)
+    response = efficiency.at(nm)[0] * light.at(nm)
+    assert np.average(nm, weights=response) == pytest.approx(850.0, abs=15.0)
+    assert scene.index == SCENES["flash"].index
+    assert scene.recipe == SCENES["flash"].recipe
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--scene", "far"], "unknown scene 'far'; allowed are near, standard, dense"),
+        (["--scene", "far"], "unknown scene 'far'; allowed are flash, daylight, nir, near"),
         (["--scene", ","], "names no scene"),
         (["--size", "80"], "'80' must be WIDTHxHEIGHT"),
         (["--size", "0x60"], "must be WIDTHxHEIGHT"),
         (["--size", "99999x60"], "each 1 to 8192"),
         (["--runs", "0"], "--runs: 0 must be at least 1"),
+        (["--scene", "standard"], "unknown scene 'standard'"),
         (["--budget", "-1"], "--budget: -1 must be above 0"),
+        (["--budget", "0"], "--budget: 0 must be above 0"),
+        (["--budget", "nan"], "--budget: nan must be above 0"),
+        (["--all-settings", "--quick"], "--all-settings: cannot be combined with --quick"),
+        (["--all-settings", "--profile"], "--all-settings: cannot be combined"),
         (["--profile", "--scaling"], "cannot be combined"),
         (["--profile", "--runs", "0"], "at least 1"),
         (["--out", "file"], "is not a folder"),
@@ -122,8 +199,15 @@ def test_invalid_options_give_one_line_and_exit_code_2(tmp_path, monkeypatch, ar
     assert not (tmp_path / "out").exists()
 
 
+def test_defaults_of_the_command_are_those_of_the_function():
+    command = inspect.signature(inspect.unwrap(bench)).parameters
+    function = inspect.signature(run_benchmark).parameters
+    assert command["budget"].default == function["budget_s"].default == 900.0
+    assert command["runs"].default == function["runs"].default
+
+
 def test_names_and_sizes_are_parsed():
-    assert [scene.name for scene in select_scenes(" dense,near ")] == ["near", "dense"]
+    assert [scene.name for scene in select_scenes(" near,daylight ")] == ["daylight", "near"]
     assert parse_size("80x60") == (80, 60)
     with pytest.raises(InputError):
         parse_size("80x60x3")

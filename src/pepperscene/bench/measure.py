@@ -7,23 +7,21 @@ with, so variants cannot be interleaved.
 from __future__ import annotations
 
 import json
+import math
 import os
 import statistics
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Final
+from typing import Any
 
 from pepperscene.bench.reference import Errors, OnProgress, Reference, measure_errors, render_reference
 from pepperscene.bench.scenes import SCENES, BenchSubject, load_subject
-from pepperscene.bench.settings import NAMED, Setting, settings
+from pepperscene.bench.settings import ADAPTIVE, NAMED, Setting, settings
 from pepperscene.errors import SetupError
-
-_FIRST_FRAMES: Final = 0.5
-"""Chosen: fraction of a time limit for the first frames; the rest is enough to time each setting once."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,17 @@ class BenchResult:
         """Median of the timed frames."""
         return statistics.median(self.seconds)
 
+    @property
+    def label(self) -> str:
+        """Name of the setting in tables, without the family where the name suffices."""
+        if self.family.startswith(NAMED):
+            target = self.effort.get("target")
+            target_text = "" if target is None else f" (target {target:g})"
+            return f"{self.name}{target_text}{self.family.removeprefix(NAMED)}"
+        return (
+            self.name if self.family == ADAPTIVE else f"{self.family.split('pepperscene, ')[-1]}, {self.name}"
+        )
+
 
 def measure_settings(
     subject: BenchSubject,
@@ -52,7 +61,7 @@ def measure_settings(
     reference: Reference,
     runs: int,
     *,
-    limit_s: float | None = None,
+    limit_s: float = math.inf,
     on_progress: OnProgress = lambda _: None,
 ) -> list[BenchResult]:
     """Measure settings on a subject.
@@ -66,56 +75,105 @@ def measure_settings(
         settings: to compare.
         reference: converged image of the subject's camera.
         runs: number of rounds.
-        limit_s: approximate time limit. Settings whose first frame would be late are left out; rounds end
-            early, after at least one.
+        limit_s: approximate time limit. Settings without time for a first frame and a timed one are left
+            out, except named qualities. After the first round, the slowest settings are left out of rounds
+            that would end late.
         on_progress: receives progress lines.
     """
-    start = perf_counter()
-    first_frames: list[BenchResult] = []
-    for number, setting in enumerate(settings):
-        if limit_s is not None and first_frames and perf_counter() - start > _FIRST_FRAMES * limit_s:
-            names = "; ".join(f"{skipped.family}, {skipped.name}" for skipped in settings[number:])
-            on_progress(f"{subject.name}: no time for {names}")
+    measurement = _Measurement(subject, reference, perf_counter() + limit_s, on_progress)
+    late = measurement.first_frames(enumerate(settings))
+    measurement.round(0)
+    # Times without compilation show whether there is time for some of the others after all.
+    for _, setting in measurement.first_frames(late):
+        on_progress(f"{subject.name}: no time for {setting.family}, {setting.name}")
+    measurement.round(0)
+    on_progress(f"{subject.name}: round 1 of {runs} done")
+    for round_ in range(1, runs):
+        measurement.drop_slowest()
+        if not measurement.active:
+            on_progress(f"{subject.name}: no time for more than {round_} of {runs} rounds")
             break
-        before = perf_counter()
-        frame = subject.render(setting.quality, 1 + number, full=setting.full_scene)
-        first_s = perf_counter() - before
-        errors = measure_errors(frame["electrons"], reference.electrons, subject.camera)
-        errors = errors.subtract(reference.error_codes, reference.relative_mse)
-        on_progress(
-            f"{subject.name}: {setting.family}, {setting.name}: {errors.rmse_codes:.2f} codes, "
-            f"first frame {first_s:.2f} s"
-        )
-        first_frames.append(
-            BenchResult(
-                subject.name,
+        measurement.round(round_)
+        on_progress(f"{subject.name}: round {round_ + 1} of {runs} done")
+    return [replace(result, seconds=tuple(times)) for _, result, times in measurement.by_number()]
+
+
+class _Measurement:
+    """First frames and timed frames of settings on a subject, within a time limit."""
+
+    def __init__(
+        self, subject: BenchSubject, reference: Reference, end_s: float, on_progress: OnProgress
+    ) -> None:
+        self.subject, self.reference = subject, reference
+        self.end_s, self.on_progress = end_s, on_progress
+        # By the number of the setting: its first frame and the times of the others.
+        self.measured: dict[int, tuple[Setting, BenchResult, list[float]]] = {}
+        self.active: set[int] = set()
+
+    def by_number(self) -> list[tuple[Setting, BenchResult, list[float]]]:
+        return [self.measured[number] for number in sorted(self.measured)]
+
+    def first_frames(self, settings: Iterable[tuple[int, Setting]]) -> list[tuple[int, Setting]]:
+        """Render the frames whose errors are measured; returns the settings that seem to be late."""
+        late = []
+        for number, setting in settings:
+            # One timed frame of this setting and of those that have none yet must follow.
+            round_s = sum(result.first_s for _, result, times in self.measured.values() if not times)
+            needed_s = round_s + 2.0 * self._expected_seconds(setting)
+            if setting.family != NAMED and perf_counter() + needed_s > self.end_s:
+                late.append((number, setting))
+                continue
+            before = perf_counter()
+            frame = self.subject.render(setting.quality, 1 + number, full=setting.full_scene)
+            first_s = perf_counter() - before
+            result = BenchResult(
+                self.subject.name,
                 setting.family,
                 setting.name,
                 setting.effort(),
-                errors,
+                measure_errors([frame["electrons"]], self.reference),
                 (),
                 first_s,
                 frame.metadata.get("sampling", {}),
                 str(frame.metadata.get("variant", "")),
             )
-        )
-        # A 4k image has 100 MB.
-        del frame
+            self.on_progress(f"{self.subject.name}: {result.label}: first frame {first_s:.2f} s")
+            self.measured[number] = (setting, result, [])
+            self.active.add(number)
+            # A 4k image has 100 MB.
+            del frame
+        return late
 
-    seconds: list[list[float]] = [[] for _ in first_frames]
-    for round_ in range(runs):
-        if round_ and limit_s is not None and perf_counter() - start > limit_s:
-            on_progress(f"{subject.name}: no time for more than {round_} of {runs} rounds")
-            break
-        for number, setting in enumerate(settings[: len(first_frames)]):
-            camera = subject.path[(round_ + number) % len(subject.path)]
+    def _expected_seconds(self, setting: Setting) -> float:
+        """Least time of a setting's frame by the measured ones of the same method; 0 if there are none."""
+        expected = [
+            ratio * min([result.first_s, *times])
+            for other, result, times in self.measured.values()
+            if (ratio := setting.relative_samples(other)) is not None
+        ]
+        return min(expected, default=0.0)
+
+    def drop_slowest(self) -> None:
+        """Leave the slowest settings out of the following rounds until the next one ends in time."""
+        last_s = {number: self.measured[number][2][-1] for number in self.active}
+        for number in sorted(last_s, key=lambda number: -last_s[number]):
+            if perf_counter() + sum(last_s[kept] for kept in self.active) <= self.end_s:
+                break
+            self.active.remove(number)
+            _, result, times = self.measured[number]
+            self.on_progress(f"{self.subject.name}: {result.label}: no time after {len(times)} rounds")
+
+    def round(self, number_of_round: int) -> None:
+        """Render a frame of each active setting that has not had this round."""
+        path = self.subject.path
+        for number in sorted(self.active):
+            setting, _, times = self.measured[number]
+            if len(times) > number_of_round:
+                continue
+            camera, seed = path[(number_of_round + number) % len(path)], 1000 * (number_of_round + 1) + number
             before = perf_counter()
-            subject.render(setting.quality, 1000 * (round_ + 1) + number, camera, full=setting.full_scene)
-            seconds[number].append(perf_counter() - before)
-        on_progress(f"{subject.name}: round {round_ + 1} of {runs} done")
-    return [
-        replace(result, seconds=tuple(times)) for result, times in zip(first_frames, seconds, strict=True)
-    ]
+            self.subject.render(setting.quality, seed, camera, full=setting.full_scene)
+            times.append(perf_counter() - before)
 
 
 # --- other variants of Mitsuba ------------------------------------------------------------------------------
@@ -135,14 +193,34 @@ def other_variants() -> tuple[str, ...]:
 
 
 def measure_variant(
-    variant: str, scene: str, size: tuple[int, int] | None, runs: int, references: Path, *, quick: bool
+    variant: str,
+    scene: str,
+    size: tuple[int, int] | None,
+    runs: int,
+    references: Path,
+    *,
+    limit_s: float = math.inf,
 ) -> list[BenchResult]:
     """Measure the named qualities of a scene with another variant, in a subprocess.
+
+    Args:
+        variant: of Mitsuba.
+        scene: name of the benchmark scene.
+        size: of the images, or None for the camera's.
+        runs: number of rounds.
+        references: folder with the cached reference.
+        limit_s: approximate time limit of the measurement, which each quality exceeds if it must.
 
     Raises:
         SetupError: the process failed.
     """
-    task = {"scene": scene, "size": size, "runs": runs, "references": str(references), "quick": quick}
+    task = {
+        "scene": scene,
+        "size": size,
+        "runs": runs,
+        "references": str(references),
+        "limit_s": None if math.isinf(limit_s) else limit_s,
+    }
     completed = subprocess.run(
         [sys.executable, "-m", "pepperscene.bench.measure", json.dumps(task)],
         env={**os.environ, "PEPPERSCENE_VARIANT": variant},
@@ -153,19 +231,24 @@ def measure_variant(
         last = (completed.stderr.strip().splitlines() or ["no message"])[-1]
         raise SetupError(f"the benchmark process for {variant} failed: {last}")
     return [
-        BenchResult(**{**result, "errors": Errors(**result["errors"]), "seconds": tuple(result["seconds"])})
+        BenchResult(
+            **{**result, "errors": Errors.from_json(result["errors"]), "seconds": tuple(result["seconds"])}
+        )
         for result in json.loads(completed.stdout.splitlines()[-1])
     ]
 
 
 def _measure_named(task: dict[str, Any]) -> list[dict[str, Any]]:
     """Measure the named qualities in this process; results as JSON data."""
+    start = perf_counter()
+    limit_s = math.inf if task["limit_s"] is None else task["limit_s"]
     size = tuple(task["size"]) if task["size"] else None
     subject = load_subject(SCENES[task["scene"]], size, task["runs"])
     # The parent has rendered the reference; the cached one is used as it is.
     reference = render_reference(subject, Path(task["references"]), limit_s=0.0)
-    named = [setting for setting in settings(quick=task["quick"]) if setting.family == NAMED]
-    results = measure_settings(subject, named, reference, task["runs"])
+    named = [setting for setting in settings() if setting.family == NAMED]
+    left_s = limit_s - (perf_counter() - start)
+    results = measure_settings(subject, named, reference, task["runs"], limit_s=left_s)
     return [{**asdict(result), "family": f"{NAMED}, {result.variant}"} for result in results]
 
 

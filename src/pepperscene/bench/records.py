@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import datetime
 import io
 import math
@@ -19,7 +20,7 @@ from pepperscene.bench.measure import BenchResult
 from pepperscene.dataset.store.atomic import atomic_write, canonical_json
 from pepperscene.errors import OutputError
 
-FORMAT: Final = "pepperscene bench 1"
+FORMAT: Final = "pepperscene bench 2"
 
 _PACKAGES: Final = (
     "pepperscene", "mitsuba", "drjit", "numpy", "pyoidn", "karellen-llvm-core", "flip-evaluator",
@@ -30,6 +31,11 @@ _EFFORT: Final = (
     "whole_scene",
 )  # fmt: skip
 """Values of a setting in the CSV file; the JSON file has all of them."""
+
+_ERRORS: Final = (
+    "rmse_codes", "rmse_codes_uncertainty", "rmse_codes_limit",
+    "relative_mse", "relative_mse_uncertainty", "relative_mse_limit", "flip",
+)  # fmt: skip
 
 
 # --- machine ------------------------------------------------------------------------------------------------
@@ -101,15 +107,24 @@ def _package_version(package: str) -> str | None:
 
 
 def result_json(result: BenchResult) -> dict[str, Any]:
-    """A result as JSON data."""
+    """A result as JSON data.
+
+    An error that is not measurable is None; its upper limit is given instead.
+    """
+    codes, relative = result.errors.codes, result.errors.relative
     return {
         "scene": result.scene,
         "family": result.family,
         "name": result.name,
         "effort": dict(result.effort),
-        "rmse_codes": result.errors.rmse_codes,
-        "relative_mse": result.errors.relative_mse,
+        "rmse_codes": codes.root,
+        "rmse_codes_uncertainty": codes.root_uncertainty,
+        "rmse_codes_limit": None if codes.is_measurable else codes.root_limit,
+        "relative_mse": relative.mean if relative.is_measurable else None,
+        "relative_mse_uncertainty": relative.standard_error if relative.is_measurable else None,
+        "relative_mse_limit": None if relative.is_measurable else relative.root_limit**2,
         "flip": result.errors.flip,
+        "errors": dataclasses.asdict(result.errors),
         "median_s": result.median_s,
         "seconds": list(result.seconds),
         "first_s": result.first_s,
@@ -122,7 +137,7 @@ def result_json(result: BenchResult) -> dict[str, Any]:
 def results_csv(results: Sequence[BenchResult]) -> str:
     """Results as CSV, one line a setting, with all its times in the last columns."""
     runs = max((len(result.seconds) for result in results), default=0)
-    keys = ("variant", "rmse_codes", "relative_mse", "flip", "median_s")
+    keys = ("variant", *_ERRORS, "median_s")
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -14,12 +15,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from pepperscene.bench.scenes import BenchSubject
 from pepperscene.camera import Camera, add_pedestal, camera_rgb, correct_colours
 from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.errors import SetupError
-from pepperscene.render import Quality
+from pepperscene.render import Quality, resolve_quality
 
 OnProgress = Callable[[str], None]
 """Called with a line of progress."""
@@ -28,8 +30,59 @@ _MEAN_WEIGHT: Final = 1e-2
 """Regularisation of the relative error, in squared means of the reference: the 0.01 of Rousselle, Knaus and
 Zwicker 2011 ("Adaptive sampling and reconstruction using greedy error minimization") for a mean of 1."""
 
+_BLOCK_PX: Final = 32
+"""Chosen: side of the blocks whose spread gives the standard error; errors of denoised images are correlated
+over some ten pixels."""
+
+_LEAST_BLOCKS: Final = 4
+"""Chosen: number of blocks along each side of a small image, at least."""
+
+_SMOOTHING_PX: Final = 1.0
+"""Chosen: standard deviation of the Gaussian that smooths the mean of the reference, at which codes are
+linearised. A pixel's own noise then hardly moves the point of its linearisation."""
+
+_STEP: Final = 1e-3
+_DARKEST: Final = 1e-2
+"""Chosen: step of the central differences, as a fraction of the signal or of a hundredth of its mean, which
+counts as a hundredth of an electron at least."""
+
 
 # --- errors -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SquaredError:
+    """Mean squared error of an image, estimated with two independent references.
+
+    Attributes:
+        mean: mean product of the image's differences to the two references. The references' own noise cancels
+            in it. It is below 0 for about half of the images without an error.
+        standard_error: of `mean`, from the spread between blocks of the image. Differences between parts of
+            the image are included, so it is rather too large.
+    """
+
+    mean: float
+    standard_error: float
+
+    @property
+    def is_measurable(self) -> bool:
+        """Whether the mean is at least twice its standard error, and above 0."""
+        return self.mean > 0.0 and self.mean >= 2.0 * self.standard_error
+
+    @property
+    def root(self) -> float | None:
+        """Root mean squared error; None if it is not measurable."""
+        return math.sqrt(self.mean) if self.is_measurable else None
+
+    @property
+    def root_uncertainty(self) -> float | None:
+        """Standard error of `root`; None if it is not measurable."""
+        return self.standard_error / (2.0 * math.sqrt(self.mean)) if self.is_measurable else None
+
+    @property
+    def root_limit(self) -> float:
+        """Upper limit of the root mean squared error: two standard errors above the mean."""
+        return math.sqrt(max(self.mean, 0.0) + 2.0 * self.standard_error)
 
 
 @dataclass(frozen=True)
@@ -37,31 +90,63 @@ class Errors:
     """Errors of an image.
 
     Attributes:
-        rmse_codes: root mean squared difference of the developed, noise-free images, in 8-bit codes, before
-            rounding to whole codes, which would add 0.4 codes.
-        relative_mse: mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over electrons.
-        flip: mean of FLIP (Andersson et al. 2020) at 67 pixels per degree, 0 to 1.
+        codes: error of the developed, noise-free image in 8-bit codes, linearised about the reference and not
+            rounded to whole codes, which would add 0.3 codes; its mean is in squared codes.
+        relative: mean of (x - r)^2 / (s^2 + 0.01 mean(s)^2) over electrons, s being the slightly smoothed r.
+        flip: mean of FLIP (Andersson et al. 2020) at 67 pixels per degree, 0 to 1, against the mean of the
+            references; the noise of the references is included.
     """
 
-    rmse_codes: float
-    relative_mse: float
+    codes: SquaredError
+    relative: SquaredError
     flip: float
 
-    def subtract(self, rmse_codes: float, relative_mse: float) -> Errors:
-        """Subtract the squared errors of the reference, which are independent of the image's."""
-        return dataclasses.replace(
-            self,
-            rmse_codes=math.sqrt(max(self.rmse_codes**2 - rmse_codes**2, 0.0)),
-            relative_mse=max(self.relative_mse - relative_mse, 0.0),
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Errors:
+        """Errors out of JSON data as of `dataclasses.asdict`; JSON has null for infinite standard errors."""
+        codes, relative = (
+            SquaredError(one["mean"], math.inf if one["standard_error"] is None else one["standard_error"])
+            for one in (values["codes"], values["relative"])
         )
+        return cls(codes, relative, values["flip"])
 
 
-def measure_errors(
-    electrons: NDArray[np.floating], reference: NDArray[np.floating], camera: Camera
-) -> Errors:
-    """Errors of expected electrons `(h, w, c)` against those of the converged image."""
-    picture, converged = develop_codes(electrons, camera), develop_codes(reference, camera)
-    return Errors(rms(picture - converged), relative_mse(electrons, reference), mean_flip(picture, converged))
+def measure_errors(images: Iterable[NDArray[np.floating]], reference: Reference) -> Errors:
+    """Errors of images of one setting, averaged as squares.
+
+    Args:
+        images: `(h, w, c)` expected electrons each; several images have independent noise.
+        reference: converged image of the same view.
+
+    Raises:
+        ValueError: there is no image.
+    """
+    converged = develop_codes(reference.electrons, reference.camera)
+    in_codes, relative, flips = [], [], []
+    for image in images:
+        first, second = (np.asarray(image, float) - half for half in reference.halves)
+        relative.append((first * second * reference.relative_weights).mean(axis=-1))
+        differences = [reference.code_differences(image, half) for half in reference.halves]
+        in_codes.append((differences[0] * differences[1]).mean(axis=-1, dtype=float))
+        flips.append(mean_flip(develop_codes(image, reference.camera), converged))
+    if not flips:
+        raise ValueError("errors need at least one image")
+    return Errors(
+        _squared_error(np.mean(in_codes, axis=0)),
+        _squared_error(np.mean(relative, axis=0)),
+        float(np.mean(flips)),
+    )
+
+
+def _squared_error(products: NDArray[np.float64]) -> SquaredError:
+    """Mean and standard error of `(h, w)` products; the latter from whole square blocks."""
+    height, width = products.shape
+    side = max(min(_BLOCK_PX, height // _LEAST_BLOCKS, width // _LEAST_BLOCKS), 1)
+    rows, columns = height // side, width // side
+    blocks = products[: rows * side, : columns * side].reshape(rows, side, columns, side).mean(axis=(1, 3))
+    # A single block says nothing about its spread.
+    spread = float(blocks.std(ddof=1)) / math.sqrt(blocks.size) if blocks.size > 1 else math.inf
+    return SquaredError(float(products.mean()), spread)
 
 
 def develop_codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64]:
@@ -78,19 +163,6 @@ def develop_codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64
 def rms(difference: NDArray[np.floating]) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(difference, dtype=float))))
-
-
-def relative_mse(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
-    """Mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2); 0 / 0 counts as 0.
-
-    It is computed in units of the mean, so that no square overflows.
-    """
-    x, r = np.asarray(image, float), np.asarray(reference, float)
-    mean = float(np.abs(r).mean())
-    if mean == 0.0:
-        return 0.0 if not x.any() else float("inf")
-    x, r = x / mean, r / mean
-    return float(np.mean((x - r) ** 2 / (r**2 + _MEAN_WEIGHT)))
 
 
 def mean_flip(image: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
@@ -126,46 +198,103 @@ SMALLEST_ERROR: Final = 0.5
 """Smallest error of interest, in codes. Chosen: rounding an image has an error of 0.3 codes."""
 
 TARGET_FRACTION: Final = 0.1
-"""Target error of the reference over the smallest error of interest: it adds half a per cent to results."""
+"""Chosen: target error of the reference over the smallest error of interest."""
 
 _FIRST_SEED: Final = 1_000_000  # chosen: far from the seeds of the measured frames
 _SAVE_INTERVAL_S: Final = 60.0  # chosen: the most that an interruption costs
-_FORMAT: Final = 1
+_REPORT_INTERVAL_S: Final = 5.0  # chosen: small images take less than a second each
+_FORMAT: Final = 2
 """Version of the cache files; others are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A converged image and its estimated error."""
+    """A converged image as the means of two independent halves of its samples.
 
-    electrons: NDArray[np.float64]  # `(h, w, c)` float64, the mean of both halves
-    error_codes: float  # estimated RMSE in codes, from the difference of the halves
-    relative_mse: float  # estimated relative MSE
-    renders: int  # number of images in the mean
-    seconds: float  # rendering time of all of them
+    Attributes:
+        halves: `(2, h, w, c)` expected electrons.
+        camera: that develops them.
+        renders: number of images in both halves.
+        seconds: rendering time of all of them.
+    """
+
+    halves: NDArray[np.floating]
+    camera: Camera
+    renders: int = 2
+    seconds: float = 0.0
+
+    @cached_property
+    def electrons(self) -> NDArray[np.float64]:
+        """`(h, w, c)` mean of the halves."""
+        return self.halves.mean(axis=0, dtype=float)
+
+    @cached_property
+    def _slopes(self) -> NDArray[np.float32]:
+        """`(c, h, w, k)` derivatives of the k developed channels, in codes per electron of each channel."""
+        middle = _smooth(np.minimum(self.electrons, self.camera.sensor.full_well_e))
+        steps = _STEP * np.maximum(middle, _DARKEST * max(float(middle.mean()), _DARKEST))
+        slopes = []
+        for channel in range(middle.shape[-1]):
+            step = np.zeros_like(middle)
+            step[..., channel] = steps[..., channel]
+            # Electrons below 0 count as 0, so black has a one-sided difference.
+            low, high = np.maximum(middle - step, 0.0), middle + step
+            difference = develop_codes(high, self.camera) - develop_codes(low, self.camera)
+            slopes.append((difference / (high - low)[..., channel, None]).astype(np.float32))
+        return np.stack(slopes)
+
+    @cached_property
+    def relative_weights(self) -> NDArray[np.float64]:
+        """`(h, w, c)` weights of squared differences in the relative error, per squared electron."""
+        smooth = _smooth(self.electrons)
+        mean = max(float(smooth.mean()), 1e-100)  # any other mean for a black image
+        return 1.0 / ((smooth / mean) ** 2 + _MEAN_WEIGHT) / mean / mean
+
+    def code_differences(
+        self, first: NDArray[np.floating], second: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """`(h, w, k)` difference of two images `(h, w, c)` of electrons in codes, linearised.
+
+        The tone curve is concave, so noise of a reference would make its codes too low. Codes linear in
+        electrons have no such bias. Electrons above the sensor's full well count as the full well.
+        """
+        well = self.camera.sensor.full_well_e
+        difference = np.minimum(first, well, dtype=float) - np.minimum(second, well, dtype=float)
+        return np.einsum("chwk,hwc->hwk", self._slopes, difference.astype(np.float32))
+
+    @cached_property
+    def error_codes(self) -> float:
+        """Estimated RMSE of the mean of the halves in codes: half of their difference."""
+        return rms(self.code_differences(*self.halves)) / 2.0
+
+
+def _smooth(electrons: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(h, w, c)` electrons with less noise, for derivatives and weights."""
+    return gaussian_filter(np.maximum(electrons, 0.0), (_SMOOTHING_PX, _SMOOTHING_PX, 0.0))
 
 
 @dataclass(eq=False)
 class _Halves:
-    """Sums of independent images, even ones in the first half and odd ones in the second."""
+    """Weighted sums of independent images; each image is added to the half with less weight."""
 
-    sums: NDArray[np.float64]
+    sums: NDArray[np.float64]  # `(2, h, w, c)`
+    weights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))  # samples per pixel
     renders: int = 0
     seconds: float = 0.0
 
-    def add(self, electrons: NDArray[np.floating], seconds: float) -> None:
-        self.sums[self.renders % 2] += electrons
+    def add(self, electrons: NDArray[np.floating], samples: int, seconds: float) -> None:
+        half = int(np.argmin(self.weights))
+        self.sums[half] += electrons * float(samples)
+        self.weights[half] += samples
         self.renders += 1
         self.seconds += seconds
 
+    @property
+    def are_filled(self) -> bool:
+        return bool((self.weights > 0).all())
+
     def reference(self, camera: Camera) -> Reference:
-        """Mean of at least two images; its error is half the difference of its independent halves."""
-        first, second = self.sums[0] / ((self.renders + 1) // 2), self.sums[1] / (self.renders // 2)
-        mean = self.sums.sum(axis=0) / self.renders
-        error = rms(develop_codes(first, camera) - develop_codes(second, camera)) / 2
-        return Reference(
-            mean, error, relative_mse(mean + (first - second) / 2, mean), self.renders, self.seconds
-        )
+        return Reference(self.sums / self.weights[:, None, None, None], camera, self.renders, self.seconds)
 
 
 def render_reference(
@@ -173,7 +302,7 @@ def render_reference(
     folder: Path,
     quality: str | Quality = "reference",
     target_codes: float = TARGET_FRACTION * SMALLEST_ERROR,
-    limit_s: float | None = None,
+    limit_s: float = math.inf,
     on_progress: OnProgress = lambda _: None,
 ) -> Reference:
     """Render the converged image of a subject; images of earlier calls are cached and included.
@@ -181,37 +310,43 @@ def render_reference(
     Args:
         subject: its camera's view of the full scene is rendered.
         folder: of the cache; created if missing. Files are named by scene, camera and version.
-        quality: of the images that are averaged; without denoiser.
+        quality: of the images that are averaged, weighted by their samples; without denoiser.
         target_codes: error at which it stops.
-        limit_s: seconds after which it also stops, once there are two images.
+        limit_s: approximate time limit. Once each half has an image, no image is started that would end
+            later, as far as the time of the last one shows.
         on_progress: receives progress lines.
 
     Raises:
         OSError: the cache cannot be written.
     """
     path = folder / f"{subject.name}_{subject.digest()[:20]}.npz"
-    camera = subject.camera
+    camera, samples = subject.camera, resolve_quality(quality).samples
     halves = _read_cache(path)
     if halves is None:
         halves = _Halves(np.zeros((2, camera.height, camera.width, camera.sensor.channels)))
-    start = saved = perf_counter()
+    start = saved = reported = perf_counter()
+    last_s = 0.0
     while True:
         now = perf_counter()
-        if halves.renders >= 2:
+        if halves.are_filled:
             reference = halves.reference(camera)
-            is_late = limit_s is not None and now - start > limit_s
+            is_late = now - start + last_s > limit_s
             is_done = reference.error_codes <= target_codes or is_late
             if is_done or now - saved > _SAVE_INTERVAL_S:
                 _write_cache(path, halves)
                 saved = now
             if is_done:
                 return reference
-            on_progress(
-                f"{subject.name}: reference, {halves.renders} images, {reference.error_codes:.3f} of "
-                f"{target_codes:g} codes"
-            )
+            if now - reported > _REPORT_INTERVAL_S:
+                on_progress(
+                    f"{subject.name}: reference, {halves.renders} images, {reference.error_codes:.3f} of "
+                    f"{target_codes:g} codes"
+                )
+                reported = now
+        before = perf_counter()
         frame = subject.render(quality, _FIRST_SEED + halves.renders, full=True)
-        halves.add(frame["electrons"], perf_counter() - now)
+        last_s = perf_counter() - before
+        halves.add(frame["electrons"], samples, last_s)
 
 
 def _read_cache(path: Path) -> _Halves | None:
@@ -220,7 +355,9 @@ def _read_cache(path: Path) -> _Halves | None:
         with path.open("rb") as file, np.load(file) as arrays:
             if int(arrays["form"]) != _FORMAT:
                 return None
-            return _Halves(arrays["sums"], int(arrays["renders"]), float(arrays["seconds"]))
+            return _Halves(
+                arrays["sums"], arrays["weights"], int(arrays["renders"]), float(arrays["seconds"])
+            )
     except (OSError, ValueError, EOFError, KeyError, BadZipFile):
         return None
 
@@ -228,4 +365,11 @@ def _read_cache(path: Path) -> _Halves | None:
 def _write_cache(path: Path, halves: _Halves) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, sums=halves.sums, renders=halves.renders, seconds=halves.seconds, form=_FORMAT)
+        np.savez(
+            file,
+            sums=halves.sums,
+            weights=halves.weights,
+            renders=halves.renders,
+            seconds=halves.seconds,
+            form=_FORMAT,
+        )

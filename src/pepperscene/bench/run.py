@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
 from pepperscene.bench.measure import BenchResult, measure_settings, measure_variant, other_variants
+from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.records import (
     describe_machine,
     machine_info,
@@ -17,10 +19,23 @@ from pepperscene.bench.records import (
     results_csv,
     write_results,
 )
-from pepperscene.bench.reference import OnProgress, Reference, check_packages, render_reference
-from pepperscene.bench.report import error_table, plot_pareto, ratio_table, time_ratios
+from pepperscene.bench.reference import (
+    SMALLEST_ERROR,
+    TARGET_FRACTION,
+    OnProgress,
+    Reference,
+    check_packages,
+    render_reference,
+)
+from pepperscene.bench.report import (
+    CODES_OF_INTEREST,
+    TimeRatio,
+    format_time,
+    result_table,
+    time_ratios,
+)
 from pepperscene.bench.scenes import SCENES, BenchScene, load_subject
-from pepperscene.bench.settings import settings
+from pepperscene.bench.settings import Setting, settings
 from pepperscene.camera import Camera
 from pepperscene.dataset.store.atomic import check_can_create
 from pepperscene.errors import ArgumentError, OutputError
@@ -29,14 +44,22 @@ from pepperscene.render import QUALITIES
 DEFAULT_RUNS: Final = 5
 """Rounds of a full benchmark. Chosen: a median of fewer is unreliable."""
 
+DEFAULT_BUDGET_S: Final = 900.0
+"""Approximate time limit of a benchmark, if none is given."""
+
 REFERENCES: Final = "references"
 """Folder of the cached converged images, inside the output folder."""
 
 _REFERENCE_FRACTION: Final = 0.5
-"""Chosen: fraction of a time limit for a reference that is not cached."""
+"""Chosen: fraction of a scene's time limit after which its reference is finished, loading included."""
 
-_QUICK_REFERENCE: Final = dataclasses.replace(QUALITIES["reference"], samples=64, soft=64, most=64)
-"""Quality of the two images that are averaged for the reference of a quick benchmark."""
+_SMALL_REFERENCE: Final = dataclasses.replace(QUALITIES["reference"], samples=32, soft=32, most=32)
+"""Quality of the reference's images within a time limit. Chosen: an image of `daylight` takes five minutes in
+`reference` quality on two cores, and an eighth of that with these samples."""
+
+_SMALL_TARGET_FRACTION: Final = 0.5
+"""Chosen: within a time limit, target error of the reference over the smallest error of interest. The noise
+of its halves cancels, so the remaining time is better spent on the settings."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +91,9 @@ def run_benchmark(
     size: tuple[int, int] | None = None,
     *,
     runs: int = DEFAULT_RUNS,
-    budget_s: float | None = None,
+    budget_s: float = DEFAULT_BUDGET_S,
     quick: bool = False,
+    all_settings: bool = False,
     on_progress: OnProgress = lambda _: None,
 ) -> BenchmarkFiles:
     """Measure rendering time against error, and write the results.
@@ -79,50 +103,64 @@ def run_benchmark(
         scenes: to render.
         size: of the images, or None for the cameras'.
         runs: number of timed frames of each setting.
-        budget_s: approximate time limit, divided equally among the scenes; None has no limit.
+        budget_s: approximate time limit, divided equally among the scenes; infinity has no limit.
         quick: few settings and a coarse reference, as a test.
+        all_settings: more settings; see `settings`.
         on_progress: receives progress lines.
 
     Raises:
-        InputError: an argument is out of range.
+        InputError: an argument is out of range, or `quick` and `all_settings` are combined.
         OutputError: the folder cannot be written.
         SetupError: the extra `bench` is missing or the machine cannot render; nothing is written.
     """
     folder = Path(out)
     check_arguments(folder, runs, budget_s)
+    if quick and all_settings:
+        raise ArgumentError("all_settings", "cannot be combined with --quick")
     check_packages()
     machine = machine_info()
-    limit_s = None if budget_s is None else budget_s / len(scenes)
-    measured = [_measure_scene(scene, folder, size, runs, limit_s, quick, on_progress) for scene in scenes]
+    compared = settings(quick=quick, all_settings=all_settings)
+    limit_s = budget_s / len(scenes)
+    measured = [
+        _measure_scene(scene, folder, size, runs, limit_s, compared, quick, on_progress) for scene in scenes
+    ]
     results = [result for scene in measured for result in scene.results]
+    ratios = {scene.scene.name: time_ratios(scene.results) for scene in measured}
     content = {
         "machine": machine,
-        "asked": {"size": size, "runs": runs, "budget_s": budget_s, "quick": quick},
+        "asked": {
+            "size": size, "runs": runs, "budget_s": budget_s, "quick": quick, "all_settings": all_settings,
+        },
         "scenes": {scene.scene.name: _scene_json(scene) for scene in measured},
         "measured": [result_json(result) for result in results],
         "ratios": {
-            scene.scene.name: [
-                {**asdict(ratio), "times": ratio.times} for ratio in time_ratios(scene.results)
-            ]
-            for scene in measured
+            name: [{**asdict(ratio), "times": ratio.times} for ratio in of_scene]
+            for name, of_scene in ratios.items()
         },
-    }
-    markdown = (
-        "\n\n".join([describe_machine(machine), *(_scene_markdown(scene) for scene in measured)]) + "\n"
-    )
-    extra_files = {"results.csv": results_csv(results).encode()}
-    for scene in measured:
-        plots = plot_pareto(
+    }  # fmt: skip
+    parts = [
+        describe_machine(machine),
+        "\n".join(_scene_line(scene) for scene in measured),
+        result_table(results),
+        *_sentences_at_one_code(ratios),
+    ]
+    markdown = "\n\n".join(parts) + "\n"
+    panels = [
+        Panel(
+            f"{scene.scene.name}, {scene.camera.width} × {scene.camera.height} pixels",
+            scene.scene.description,
             scene.results,
-            f"Rendering time against error: {scene.scene.name}",
-            f"{scene.scene.description}; {scene.camera.width}x{scene.camera.height}",
-            scene.reference.error_codes,
         )
-        extra_files |= {f"pareto_{scene.scene.name}.{suffix}": plot for suffix, plot in plots.items()}
+        for scene in measured
+    ]
+    plots = plot_pareto(panels, "Rendering time and error of a frame; lower left is better")
+    extra_files = {"results.csv": results_csv(results).encode()} | {
+        f"pareto.{suffix}": plot for suffix, plot in plots.items()
+    }
     return BenchmarkFiles(write_results(folder, "results", content, markdown, extra_files), markdown)
 
 
-def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> None:
+def check_arguments(folder: Path, runs: int, budget_s: float = math.inf) -> None:
     """Check the arguments before anything is measured.
 
     Raises:
@@ -131,7 +169,7 @@ def check_arguments(folder: Path, runs: int, budget_s: float | None = None) -> N
     """
     if runs < 1:
         raise ArgumentError("runs", f"{runs} must be at least 1")
-    if budget_s is not None and not budget_s > 0.0:
+    if not budget_s > 0.0:
         raise ArgumentError("budget", f"{budget_s:g} must be above 0 seconds")
     check_can_create(folder)
 
@@ -141,7 +179,8 @@ def _measure_scene(
     folder: Path,
     size: tuple[int, int] | None,
     runs: int,
-    limit_s: float | None,
+    limit_s: float,
+    compared: Sequence[Setting],
     quick: bool,
     on_progress: OnProgress,
 ) -> _SceneResults:
@@ -149,24 +188,32 @@ def _measure_scene(
     start = perf_counter()
     subject = load_subject(scene, size, runs)
     references = folder / REFERENCES
-    reference_limit = 0.0 if quick else None if limit_s is None else _REFERENCE_FRACTION * limit_s
-    quality = _QUICK_REFERENCE if quick else QUALITIES["reference"]
+    is_limited = quick or math.isfinite(limit_s)
+    reference_limit_s = 0.0 if quick else _REFERENCE_FRACTION * limit_s - (perf_counter() - start)
     try:
         reference = render_reference(
-            subject, references, quality, limit_s=reference_limit, on_progress=on_progress
+            subject,
+            references,
+            _SMALL_REFERENCE if is_limited else QUALITIES["reference"],
+            (_SMALL_TARGET_FRACTION if is_limited else TARGET_FRACTION) * SMALLEST_ERROR,
+            limit_s=reference_limit_s,
+            on_progress=on_progress,
         )
     except OSError as error:
         path = error.filename or references
         raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
-    if limit_s is not None:
-        # A cached reference leaves more time for the measurements.
-        limit_s = max(limit_s - (perf_counter() - start), _REFERENCE_FRACTION * limit_s)
+    variants = other_variants()
+    # A reference that is finished early leaves more time for the settings; variants share the time equally.
+    left_s = limit_s - (perf_counter() - start)
     results = measure_settings(
-        subject, settings(quick=quick), reference, runs, limit_s=limit_s, on_progress=on_progress
+        subject, compared, reference, runs, limit_s=left_s / (1 + len(variants)), on_progress=on_progress
     )
-    for variant in other_variants():
+    for number, variant in enumerate(variants):
         on_progress(f"{scene.name}: {variant}")
-        results += measure_variant(variant, scene.name, size, runs, references, quick=quick)
+        left_s = limit_s - (perf_counter() - start)
+        results += measure_variant(
+            variant, scene.name, size, runs, references, limit_s=left_s / (len(variants) - number)
+        )
     # The subject and its renderers are freed before the next scene is loaded.
     triangles, full_triangles = len(subject.scene.mesh.faces), len(subject.full_scene.mesh.faces)
     return _SceneResults(scene, subject.camera, triangles, full_triangles, reference, tuple(results))
@@ -185,23 +232,34 @@ def _scene_json(results: _SceneResults) -> dict[str, Any]:
             "pictures": results.reference.renders,
             "seconds": results.reference.seconds,
             "error_codes": results.reference.error_codes,
-            "relative_mse": results.reference.relative_mse,
         },
     }
 
 
-def _scene_markdown(results: _SceneResults) -> str:
-    """The tables of a scene with an introduction."""
+def _scene_line(results: _SceneResults) -> str:
+    """A scene and its reference as an item of a list."""
     scene, reference = results.scene, results.reference
-    introduction = (
-        f"{scene.description[0].upper()}{scene.description[1:]} (frame {scene.index} of `{scene.recipe}`), "
-        f"{results.camera.width}x{results.camera.height}, {results.triangles:,} of the full scene's "
-        f"{results.full_triangles:,} triangles. The reference, of the full scene, is the mean of "
-        f"{reference.renders} images without denoiser; its error is {reference.error_codes:.3f} codes."
+    return (
+        f"- `{scene.name}`: {scene.description}; frame {scene.index} of `{scene.recipe}`, "
+        f"{results.camera.width} × {results.camera.height} pixels, {results.triangles:,} of "
+        f"{results.full_triangles:,} triangles. The reference is the mean of {reference.renders} images "
+        f"without denoiser; its own error of {reference.error_codes:.2g} codes is not part of the errors "
+        f"below."
     )
-    parts = [f"#### {scene.name.capitalize()}", introduction, error_table(results.results)]
-    if ratios := time_ratios(results.results):
-        parts += ["Time at equal error:", ratio_table(ratios)]
-    if any(ratio.beyond for ratio in ratios):
-        parts.append("\\* extrapolated along the line through the two outermost points.")
-    return "\n\n".join(parts)
+
+
+def _sentences_at_one_code(ratios: Mapping[str, Sequence[TimeRatio]]) -> list[str]:
+    """Times at the error of interest, as far as they are measured."""
+    lines = [
+        f"- `{name}`: pepperscene {format_time(ratio.ours_s)}, {ratio.other} {format_time(ratio.other_s)}, "
+        f"{ratio.times:.2g} times as long."
+        for name, of_scene in ratios.items()
+        for ratio in of_scene
+        if ratio.error_codes == CODES_OF_INTEREST and ratio.ours == "best"
+    ]
+    if not lines:
+        return []
+    return [
+        f"Time at an error of {CODES_OF_INTEREST:g} code, interpolated between measured settings:",
+        "\n".join(lines),
+    ]

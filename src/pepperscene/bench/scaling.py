@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
+
+import numpy as np
 
 from pepperscene.bench.frames_child import FramesTask
 from pepperscene.bench.profile import run_child, run_children, scene_seconds
@@ -32,12 +35,15 @@ _HEADERS: Final = {
     "frames_per_s": "frames/s", "with_start_s": "with start and scene",
 }  # fmt: skip
 
+_SLOPES: Final = ("plants", "triangles", "pixels")
+"""Quantities whose power is fitted to the time of a frame."""
+
 Row = dict[str, Any]
 
 
 def measure_scaling(
     out: str | Path,
-    scenes: Sequence[BenchScene] = (SCENES["standard"],),
+    scenes: Sequence[BenchScene] = (SCENES["flash"],),
     size: tuple[int, int] | None = None,
     *,
     runs: int = DEFAULT_RUNS,
@@ -46,12 +52,14 @@ def measure_scaling(
 ) -> BenchmarkFiles:
     """Measure cost against plants, triangles, pixels, frames and workers; write `scaling.*`.
 
+    Powers of plants, triangles and pixels are fitted to the time of a frame.
+
     Arguments and errors as of `run_benchmark`; no extra is needed. `quick` renders fewer, smaller drafts.
     """
     folder = Path(out)
     check_arguments(folder, runs)
     machine, quality = machine_info(), "draft" if quick else "standard"
-    chapters, measured = [describe_machine(machine)], {}
+    chapters, measured, slopes = [describe_machine(machine)], {}, {}
     for scene in scenes:
         task = FramesTask(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
         # Not counted: it warms the caches of the disk and of compiled kernels.
@@ -64,10 +72,30 @@ def measure_scaling(
             "frames": _measure_frames(task, quick, on_progress),
             "workers": _measure_workers(task, on_progress),
         }
-        chapters += [f"#### {scene.name.capitalize()}, quality `{quality}`", *map(_table, tables.values())]
+        slopes[scene.name] = {name: fit_slope(tables[name], name) for name in _SLOPES}
+        chapters.append(f"#### {scene.name.capitalize()}, quality `{quality}`")
+        for name, table in tables.items():
+            chapters.append(_table(table))
+            if name in _SLOPES:
+                power = round(slopes[scene.name][name], 2) + 0.0  # no minus sign before 0
+                chapters.append(f"The time of a frame grows as {name}^{power:.2f}.")
     markdown = "\n\n".join(chapters) + "\n"
-    content = {"machine": machine, "scenes": measured}
+    content = {"machine": machine, "scenes": measured, "slopes": slopes}
     return BenchmarkFiles(write_results(folder, "scaling", content, markdown, {}), markdown)
+
+
+def fit_slope(rows: Sequence[Row], quantity: str) -> float:
+    """Power of a quantity with which the time of a frame grows: slope of log(time) over log(quantity).
+
+    Args:
+        rows: at least two, with `frame_s` in seconds.
+        quantity: key of the rows; sizes "WxH" are converted to numbers of pixels.
+    """
+    counts = [
+        math.prod(map(int, row[quantity].split("x"))) if quantity == "pixels" else row[quantity]
+        for row in rows
+    ]
+    return float(np.polyfit(np.log(counts), np.log([row["frame_s"] for row in rows]), 1)[0])
 
 
 def _measure_plants(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:

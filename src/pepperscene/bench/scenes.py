@@ -55,6 +55,26 @@ class BenchScene:
 SCENES: Final[Mapping[str, BenchScene]] = {
     scene.name: scene
     for scene in (
+        BenchScene("flash", "barth2018", 125, "the thirteen plants of Barth et al. 2018 under the flash"),
+        BenchScene(
+            "daylight",
+            "greenhouse",
+            125,
+            "seventeen plants and the rows beyond them, by daylight alone",
+            _ONE_SCENE,
+        ),
+        BenchScene(
+            "nir",
+            "barth2018",
+            125,
+            "the same plants in near-infrared light of 850 nm, with a monochrome sensor",
+            {
+                "camera.sensor": "onsemi_mt9v024_mono",
+                "camera.flash": "led_nir_850nm",
+                "camera.filter": "bandpass_850nm",
+                "camera.exposure_us": 50.0,  # chosen: a mean code of 76, and no pixel is saturated
+            },
+        ),
         BenchScene(
             "near",
             "barth2018",
@@ -69,10 +89,6 @@ SCENES: Final[Mapping[str, BenchScene]] = {
                 "camera.focus_mm": 140.0,  # chosen: on the nearest fruit
                 "camera.exposure_us": 14.0,  # chosen: 50 us times (210 mm / 400 mm)^2, as the flash is nearer
             },
-        ),
-        BenchScene("standard", "barth2018", 125, "the thirteen plants of Barth et al. 2018 under the flash"),
-        BenchScene(
-            "dense", "greenhouse", 125, "seventeen plants and the rows beyond them, by daylight", _ONE_SCENE
         ),
     )
 }

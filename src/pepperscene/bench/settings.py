@@ -9,16 +9,19 @@ from typing import Any, Final, get_args
 from pepperscene.render import QUALITIES, Quality, resolve_quality
 from pepperscene.render.quality import Sampler
 
-NAMED: Final = "ours, by name"
-ADAPTIVE: Final = "ours, adaptive"
-FIXED: Final = "ours, fixed samples"
-NO_DENOISER: Final = "ours, no denoiser"
-FULL_SCENE: Final = "ours, whole scene"
-PLAIN: Final = "plain path"
-PATH: Final = "path, "
-"""Families of settings: one line each in the plot."""
+NAMED: Final = "pepperscene, named qualities"
+ADAPTIVE: Final = "pepperscene, other target errors"
+FIXED: Final = "pepperscene, fixed samples"
+NO_DENOISER: Final = "pepperscene, fixed samples without denoiser"
+FULL_SCENE: Final = "pepperscene, whole scene"
+PLAIN: Final = "path tracer"
+PATH: Final = "path tracer with sampler "
+"""Families of settings: settings of one family differ in effort only."""
 
 OUR_FAMILIES: Final = (NAMED, ADAPTIVE, FIXED, NO_DENOISER)
+
+_LIGHT_EXPONENT: Final = 4.0 / 3.0
+"""Samples that adaptive sampling takes for a target, as a power of 1 / target: see `resolve_quality`."""
 
 
 @dataclass(frozen=True)
@@ -34,28 +37,43 @@ class Setting:
         """Values of the quality, for tables."""
         return {**dataclasses.asdict(self.quality), "whole_scene": self.full_scene}
 
+    def relative_samples(self, other: Setting) -> float | None:
+        """Approximate number of samples relative to another setting; None if their methods differ."""
+        ours, others = self.quality, other.quality
+        if (ours.target is None) != (others.target is None) or any(
+            getattr(ours, name) != getattr(others, name)
+            for name in ("integrator", "sampler", "bounces", "denoise")
+        ):
+            return None
+        if ours.target is None or others.target is None:
+            return ours.samples / others.samples
+        return (others.target / ours.target) ** _LIGHT_EXPONENT
 
-def settings(*, quick: bool = False) -> tuple[Setting, ...]:
-    """All settings by family, each family from the cheapest on.
+
+def settings(*, quick: bool = False, all_settings: bool = False) -> tuple[Setting, ...]:
+    """Settings by family, the named qualities first and each family from the cheapest on.
 
     Args:
         quick: only a few cheap ones, as a test.
+        all_settings: also fixed samples, no denoiser, the whole scene, and other samplers.
     """
     standard = QUALITIES["standard"]
+    named = [Setting(NAMED, name, QUALITIES[name]) for name in ("draft", "standard")]
     if quick:
-        return (
-            Setting(NAMED, "draft", QUALITIES["draft"]),
-            _adaptive_setting(0.5),
-            *_fixed_settings(1, 4),
-            *_path_settings(PLAIN, "independent", 1, 4),
-        )
+        return (*named, _adaptive_setting(0.3), *_path_settings(PLAIN, "independent", 4, 16))
+    default = (
+        *named,
+        *(_adaptive_setting(target) for target in (0.3, 0.1, 0.07)),
+        *_path_settings(PLAIN, "independent", 4, 16, 64),
+    )
+    if not all_settings:
+        return default
     samplers: tuple[Sampler, ...] = get_args(Sampler)
     return (
-        *(Setting(NAMED, name, QUALITIES[name]) for name in ("draft", "standard")),
-        *(_adaptive_setting(target) for target in (0.5, 0.25, 0.1, 0.07)),
+        *default,
+        *_path_settings(PLAIN, "independent", 256),
         *_fixed_settings(1, 4, 16, 64),
         Setting(FULL_SCENE, "standard", standard, full_scene=True),
-        *_path_settings(PLAIN, "independent", 1, 4, 16, 64, 256),
         *(
             setting
             for name in samplers

@@ -20,15 +20,24 @@ def bench(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Scenes, comma-separated: near, standard, dense. Default: all; standard with --scaling.",
+            help="Scenes, comma-separated: flash, daylight, nir, near. Default: all; flash with --scaling.",
         ),
     ] = None,
     runs: Annotated[int, typer.Option(help="Number of timed frames of each setting.")] = 5,
     budget: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Approximate time limit of the whole benchmark.")
-    ] = None,
+        float,
+        typer.Option(
+            metavar="SECONDS", help="Approximate time limit of the whole benchmark; inf has no limit."
+        ),
+    ] = 900.0,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the images in pixels.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few settings and a coarse reference.")] = False,
+    all_settings: Annotated[
+        bool,
+        typer.Option(
+            "--all-settings", help="More settings: fixed samples, no denoiser, whole scene, other samplers."
+        ),
+    ] = False,
     profile: Annotated[
         bool, typer.Option("--profile", help="Instead, time the stages of a frame, including the imports.")
     ] = False,
@@ -42,16 +51,25 @@ def bench(
     """Measure rendering time against error. Writes tables and plots."""
     from pepperscene import bench as benchmark
 
-    names = ("standard" if scaling else ",".join(benchmark.SCENES)) if scene is None else scene
+    names = ("flash" if scaling else ",".join(benchmark.SCENES)) if scene is None else scene
     scenes, pixels = benchmark.select_scenes(names), None if size is None else benchmark.parse_size(size)
     if profile and scaling:
         raise InputError("--profile", "cannot be combined with --scaling")
+    if all_settings and (profile or scaling):
+        raise InputError("--all-settings", "cannot be combined with --profile or --scaling")
     if profile or scaling:
         measure = benchmark.profile_frames if profile else benchmark.measure_scaling
         files = measure(out, scenes, pixels, runs=runs, quick=quick, on_progress=echo_progress)
     else:
         files = benchmark.run_benchmark(
-            out, scenes, pixels, runs=runs, budget_s=budget, quick=quick, on_progress=echo_progress
+            out,
+            scenes,
+            pixels,
+            runs=runs,
+            budget_s=budget,
+            quick=quick,
+            all_settings=all_settings,
+            on_progress=echo_progress,
         )
     typer.echo(files.markdown)
     for path in files.files:

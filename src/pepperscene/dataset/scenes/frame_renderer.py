@@ -165,8 +165,10 @@ class FrameRenderer:
         setup = self.setups.at(spec)
         builder, others = self._builder(setup), self._frames_of_scene(spec, setup)
         # Surfaces and sky do not depend on the row, whose contacts keep one core busy.
-        builder.plants(spec.set)
         beside = traced and builder.shares_work
+        if beside:
+            # Plants are made by two processes as well, so they come first.
+            builder.plants(spec.set)
         optics = functools.partial(self._optics, spec, setup, others, other_process=beside)
         with ThreadPoolExecutor(1) as pool:
             pending = pool.submit(optics) if beside else None

@@ -30,7 +30,7 @@ guide, bright pixels spread over their neighbours before the filter. A filter fo
 that arrives in penumbras reduces the flash's error from 6.0 to 3.4 codes at 4 samples and from 2.4 to 1.7 at
 16, but increases it from .96 to 1.2 at 64, and costs as much as four more samples.
 
-The filter is told that its guides have no noise (`clean_aux`), because they have all samples of a pixel. By
+The filter assumes guides without noise (`clean_aux`), because they have all samples of a pixel. By
 daylight, on frame 0 of `greenhouse` with 8 samples of the light of sky and leaves, its error is then 5.3
 instead of 5.7 codes, of which 3.8 are the same for all seeds: six tenths of their square at borders of
 organs, which share their colour, and a quarter within four pixels of these. Tried there, without gain:
