@@ -24,11 +24,13 @@ from pepperscene.dataset import BuildProgress
 TRUTH = ("class", "instance", "distance", "distance_code")
 
 
-def build_rate(recipe: ps.Recipe, frames: Sequence[int], workers: int | None) -> float:
-    """Frames per second of a complete build of labels, including the start of workers and the manifest."""
+def build_rate(
+    recipe: ps.Recipe, frames: Sequence[int], outputs: Sequence[str], workers: int | None
+) -> float:
+    """Frames per second of a complete build, including the start of workers and the manifest."""
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
-        ps.build(recipe, Path(folder) / "set", frames, TRUTH, ps.BuildOptions(workers=workers))
+        ps.build(recipe, Path(folder) / "set", frames, outputs, ps.BuildOptions(workers=workers))
         return len(frames) / (time.perf_counter() - start)
 
 
@@ -62,18 +64,25 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--runs", type=int, default=3, help="runs of each kind (default: 3)")
-    parser.add_argument("--scenes", type=int, default=2, help="scenes of 250 label frames (default: 2)")
+    parser.add_argument("--scenes", type=int, default=2, help="scenes of each build (default: 2)")
+    parser.add_argument(
+        "--colour-frames", type=int, default=40, help="frames of a scene with photographs (default: 40)"
+    )
     options = parser.parse_args()
     sys.stdout.write(describe_machine(machine_info()) + "\n\n")
-    _measure_labels(options.runs, options.scenes)
+    _measure_workers("labels", TRUTH, options.runs, options.scenes, 250)
+    photographs = ("colour", *TRUTH)
+    _measure_workers(
+        "photographs and labels", photographs, options.runs, options.scenes, options.colour_frames
+    )
     _measure_overhead(options.runs)
 
 
-def _measure_labels(runs: int, scenes: int) -> None:
+def _measure_workers(what: str, outputs: Sequence[str], runs: int, scenes: int, steps: int) -> None:
     recipe = ps.load_recipe("barth2018")
     # Scenes of different sets, as a complete build distributes them.
     per_set = recipe.plan.rotations * recipe.plan.frames
-    frames = [number * per_set + step for number in range(scenes) for step in range(recipe.plan.frames)]
+    frames = [number * per_set + step for number in range(scenes) for step in range(steps)]
     # One core for each worker; the last has all cores.
     configurations: dict[str, int | None] = {
         "one worker": 1,
@@ -85,15 +94,15 @@ def _measure_labels(runs: int, scenes: int) -> None:
         for name, workers in configurations.items():
             os.environ.pop("PEPPERSCENE_THREADS", None)
             os.environ |= {} if workers is None else {"PEPPERSCENE_THREADS": "1"}
-            measured[name].append(build_rate(recipe, frames, workers))
+            measured[name].append(build_rate(recipe, frames, outputs, workers))
     os.environ.pop("PEPPERSCENE_THREADS", None)
     one_worker = measured["one worker"]
     sys.stdout.write(
-        f"| labels of {len(frames)} frames | frames/s | relative to one worker |\n|---|---:|---:|\n"
+        f"\n| {what} of {len(frames)} frames | frames/s | relative to one worker |\n|---|---:|---:|\n"
     )
     for name, rates in measured.items():
         ratio = statistics.median(a / b for a, b in zip(rates, one_worker, strict=True))
-        spread = f"{statistics.median(rates):.1f} ({min(rates):.1f} to {max(rates):.1f})"
+        spread = f"{statistics.median(rates):.3g} ({min(rates):.3g} to {max(rates):.3g})"
         sys.stdout.write(f"| {name} | {spread} | {ratio:.2f} |\n")
 
 
