@@ -51,6 +51,18 @@ class Plant:
     organs: tuple[Organ, ...]
     kinds: Mapping[str, OrganKind]
 
+    def __repr__(self) -> str:
+        height = max((float(organ.curve[:, 2].max()) for organ in self.organs), default=0.0)
+        fruit = len(self.of_form("fruit"))
+        return f"Plant({self.cultivar}, {len(self.organs)} organs, {fruit} fruit, {height:.2f} m high)"
+
+    def _repr_html_(self) -> str:
+        """A drawing from the side, for notebooks."""
+        from pepperscene.grammar.plant_view import plant_svg
+        from pepperscene.notebook_view import object_html, svg_figure_html
+
+        return object_html(repr(self), [svg_figure_html(plant_svg(self), "seen along y")])
+
     def of_kind(self, name: str) -> tuple[Organ, ...]:
         """Organs of one kind, in order."""
         return tuple(organ for organ in self.organs if organ.kind == name)

@@ -18,6 +18,7 @@ from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.dataset_view import VIEWABLE, dataset_html
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
 from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.dataset.store.rendering_error import RenderingErrors
@@ -26,8 +27,6 @@ from pepperscene.frame import DEFAULT_OUTPUTS
 
 _RATE_FRAMES: Final = 200  # chosen: frames that the rate is averaged over, so that it follows changes
 _RATE_S: Final = 120.0  # chosen: seconds that it is averaged over, likewise
-_PREVIEWS: Final = ("colour", "class_colour", "class", "instance", "distance_code", "raw")
-"""Outputs that any viewer shows, the best first."""
 
 
 class Throughput:
@@ -100,6 +99,13 @@ class BuildResult:
     made: tuple[int, ...]
     kept: tuple[int, ...]
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"BuildResult({len(self.made)} frames made, {len(self.kept)} kept, {self.dataset!r})"
+
+    def _repr_html_(self) -> str:
+        """Some frames, small, and the notes, for notebooks."""
+        return dataset_html(self.dataset, repr(self), self.notes)
 
 
 def build(
@@ -194,7 +200,7 @@ class _Reporter:
         self._dataset, self._journal, self._indices = dataset, journal, indices
         self._on_frame, self._on_notice = on_frame, on_notice
         self._throughput = Throughput(len(indices))
-        self._preview = next((name for name in _PREVIEWS if name in job.outputs), None)
+        self._preview = next((name for name in VIEWABLE if name in job.outputs), None)
         self._target = job.resolved_target
         self.errors = RenderingErrors()
         self.made: list[int] = []

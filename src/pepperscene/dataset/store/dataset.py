@@ -78,6 +78,17 @@ class Dataset:
     folder: Path
     info: Mapping[str, Any]
 
+    def __repr__(self) -> str:
+        recipe, quality = self.info.get("recipe"), self.info.get("quality")
+        name = recipe.get("name") if isinstance(recipe, Mapping) else None
+        return f"Dataset({str(self.folder)!r}, {len(self.indices())} frames of {name!r}, {quality})"
+
+    def _repr_html_(self) -> str:
+        """Some frames, small, for notebooks."""
+        from pepperscene.dataset.store.dataset_view import dataset_html
+
+        return dataset_html(self)
+
     def indices(self) -> tuple[int, ...]:
         """The existing frames, ascending."""
         with suppress(FileNotFoundError, NotADirectoryError), os.scandir(self.folder / FRAMES) as entries:
