@@ -10,6 +10,7 @@ from pepperscene.bench.measure import BenchResult
 from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.reference import Errors, SquaredError
 from pepperscene.bench.report import (
+    RelativeTime,
     format_error,
     format_time,
     pareto_front,
@@ -93,11 +94,14 @@ def test_no_ratio_is_stated_outside_the_measured_range():
     path = [result(PLAIN, f"{n}", float(n), (576.0 / n) ** 0.5) for n in (4, 16, 64)]
     (ratio,) = time_ratios([*ours, *path])
     assert (ratio.ours, ratio.times) == ("draft", pytest.approx(36.0))
-    assert relative_path_time(ours[0], [*ours, *path]) == pytest.approx(36.0)
-    assert relative_path_time(ours[1], [*ours, *path]) is None
+    assert relative_path_time(ours[0], [*ours, *path]).ratio == pytest.approx(36.0)
+    # With its most accurate setting it takes 32 times as long, and its error is still larger.
+    assert relative_path_time(ours[1], [*ours, *path]) == RelativeTime(32.0, is_bound=True)
     rows = result_table([*ours, *path]).splitlines()
     assert rows[2].endswith("| 36 × |")
-    assert rows[3].endswith("| – |")
+    assert rows[3].endswith("| > 32 × |")
+    # Nothing is known of errors above those of the path tracer.
+    assert relative_path_time(result(NAMED, "draft", 1.0, 13.0), path) is None
     # One code is compared only if both have measured around it.
     below = result(ADAPTIVE, "target 0.1", 4.0, 0.5)
     assert {ratio.ours for ratio in time_ratios([*ours, below, *path])} == {"draft"}
@@ -121,7 +125,7 @@ def test_upper_limits_are_left_out_of_ratios():
     # And a limit of the path tracer is no point of its line.
     standard = result(NAMED, "standard", 2.0, 1.0)
     uncertain = result(PLAIN, "64", 64.0, 0.5, standard_error=0.2)
-    assert relative_path_time(standard, [standard, path[0], uncertain]) is None
+    assert relative_path_time(standard, [standard, path[0], uncertain]) == RelativeTime(2.0, is_bound=True)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +167,7 @@ def test_result_table_and_times():
     lines = result_table(results).splitlines()
     assert len({line.count("|") for line in lines}) == 1
     assert lines[2] == "| near | draft | 6.00 ± 0.01 | 500 ms | 500 ms | 500 ms | 1 | – |"
-    assert lines[3] == "| flash | path tracer, 4 spp | 2.0 ± 0.1 | 12.0 s | 12.0 s | 12.0 s | 1 | 1 × |"
+    assert lines[3] == "| flash | path tracer, 4 spp | 2.0 ± 0.1 | 12.0 s | 12.0 s | 12.0 s | 1 | – |"
     assert lines[4].startswith("| near | fixed samples, 4 spp | < 0.5 | 1,000 ms |")
     times = [format_time(seconds) for seconds in (0.0321, 9.9994, 10.0, 1234.5)]
     assert times == ["32 ms", "9,999 ms", "10.0 s", "1,234.5 s"]

@@ -104,14 +104,33 @@ def time_ratios(results: Sequence[BenchResult], others: Mapping[str, str] | None
     return ratios
 
 
-def relative_path_time(result: BenchResult, results: Iterable[BenchResult]) -> float | None:
-    """Time of the path tracer at a result's error relative to the result's; None if it is not measured."""
+@dataclass(frozen=True)
+class RelativeTime:
+    """Time of one method relative to that of another."""
+
+    ratio: float
+    is_bound: bool = False  # whether the true ratio is larger
+
+    def __str__(self) -> str:
+        number = f"{self.ratio:.2g}" if self.ratio < 99.5 else f"{self.ratio:.0f}"
+        return f"{'> ' if self.is_bound else ''}{number} ×"
+
+
+def relative_path_time(result: BenchResult, results: Iterable[BenchResult]) -> RelativeTime | None:
+    """Time of the path tracer at a result's error relative to the result's.
+
+    If all measured errors of the path tracer are larger, it is a lower bound, from its most accurate setting.
+    None if the result has no measurable error, or the path tracer's are smaller.
+    """
     error = result.errors.codes.root
-    if error is None:
-        return None
     points = _points(other for other in results if other.family == PLAIN and other.scene == result.scene)
+    if error is None or not points:
+        return None
+    slowest_s, least_error = points[-1]
+    if error < least_error:
+        return RelativeTime(slowest_s / result.median_s, is_bound=True)
     seconds = time_at_error(error, points)
-    return None if seconds is None else seconds / result.median_s
+    return None if seconds is None else RelativeTime(seconds / result.median_s)
 
 
 def _points(results: Iterable[BenchResult]) -> list[Point]:
@@ -145,7 +164,7 @@ def result_table(results: Sequence[BenchResult]) -> str:
                 result.label,
                 format_error(result.errors.codes),
                 *_time_cells(result.seconds),
-                "–" if ratio is None else f"{ratio:.2g} ×" if ratio < 99.5 else f"{ratio:.0f} ×",
+                "–" if ratio is None or result.family == PLAIN else str(ratio),
             )
         )
     return markdown_table(headers, rows, left=2)
