@@ -31,6 +31,7 @@ from .dataset import FrameRenderer as FrameRenderer
 from .dataset import GrownPlant as GrownPlant
 from .dataset import ImageSet as ImageSet
 from .dataset import LabelledImage as LabelledImage
+from .dataset import ProgressBar as ProgressBar
 from .dataset import Recipe as Recipe
 from .dataset import build as build
 from .dataset import check_dataset as check_dataset

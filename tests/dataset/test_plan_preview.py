@@ -24,8 +24,9 @@ from pepperscene.dataset.preview.picture import draw_plan, row_geometry
 from pepperscene.dataset.preview.places import SceneKeeper, scene_places, write_selected_poses
 from pepperscene.dataset.preview.preview import preview_plan
 from pepperscene.dataset.preview.summary import count_scenes, horizontal_field_deg, summarise_plan
-from pepperscene.dataset.preview.text import format_bytes, format_duration, plan_lines
+from pepperscene.dataset.preview.text import format_bytes, plan_lines
 from pepperscene.dataset.recipe.frame_setups import FrameSetups
+from pepperscene.durations import format_duration
 from pepperscene.errors import ArgumentError
 
 SMALL = {"plan.sets": 2, "plan.rotations": 2, "plan.frames": 3, "row.plants_front": 1, "row.plants_back": 0}

@@ -100,11 +100,14 @@ def render(
 ) -> None:
     """Render one frame of a recipe, to preview it or to try a setting."""
     names = parse_outputs(outputs)
+    from pepperscene.cli.progress import render_status
     from pepperscene.dataset import BuildOptions, parse_changes, render_frame, resolve_recipe
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()))
     options = BuildOptions(quality=quality, target_error=target_error, seed=seed)
-    for path in render_frame(resolved, out, frame, names, options):
+    with render_status() as on_stage:
+        paths = render_frame(resolved, out, frame, names, options, on_stage)
+    for path in paths:
         typer.echo(path)
 
 

@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import typer
 
+from pepperscene.durations import format_duration, format_rate
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from pepperscene.dataset import BuildProgress, BuildResult
+    from pepperscene.dataset.execution.progress_bar import ProgressBar
 
 _EVERY_LINE: Final = 200  # chosen: up to so many frames, each is printed
 _INTERVAL_S: Final = 5.0  # chosen: seconds between lines for more frames
@@ -82,8 +85,12 @@ def progress_reporter(as_json: bool) -> Iterator[ProgressReporter]:
     if as_json:
         yield JsonReporter()
     elif sys.stderr.isatty():
-        with _build_bar() as (bar, task):
-            yield BarReporter(bar, task)
+        from rich.console import Console
+
+        from pepperscene.dataset.execution.progress_bar import ProgressBar
+
+        with ProgressBar(Console(stderr=True)) as bar:
+            yield BarReporter(bar)
     else:
         yield LineReporter()
 
@@ -136,7 +143,7 @@ class LineReporter(ProgressReporter):
             return
         parts = [f"{progress.done} of {progress.total}"]
         if progress.frames_per_s is not None:
-            parts.append(_format_rate(progress.frames_per_s))
+            parts.append(format_rate(progress.frames_per_s))
         if progress.left_s is not None and progress.done < progress.total:
             parts.append(f"{format_duration(progress.left_s)} left")
         state = "built" if progress.made else "kept"
@@ -149,61 +156,34 @@ class LineReporter(ProgressReporter):
 
 @final
 class BarReporter(ProgressReporter):
-    """A progress bar with frame rate, time left and the path of the latest image.
+    """A progress bar.
 
     Args:
-        bar: of Rich.
-        task: its only task.
+        bar: that is shown.
     """
 
-    def __init__(self, bar: Progress, task: TaskID) -> None:
-        self._bar, self._task = bar, task
+    def __init__(self, bar: ProgressBar) -> None:
+        self._bar = bar
 
     def frame(self, progress: BuildProgress) -> None:
         """Advance the bar."""
-        self._bar.update(
-            self._task,
-            completed=progress.done,
-            total=progress.total,
-            description=f"frame {progress.index:06d}",
-            rate="" if progress.frames_per_s is None else _format_rate(progress.frames_per_s),
-            left="" if progress.left_s is None else f"{format_duration(progress.left_s)} left",
-            picture="" if progress.picture is None else str(progress.picture),
-        )
+        self._bar(progress)
 
     def notice(self, text: str) -> None:
         """Print a line above the bar."""
-        self._bar.console.print(f"note: {text}", markup=False, highlight=False)
+        self._bar.notice(text)
 
 
 @contextmanager
-def _build_bar() -> Iterator[tuple[Progress, TaskID]]:
-    from rich import progress
+def render_status() -> Iterator[Callable[[str], None]]:
+    """Callback for each stage of a single frame: a line with a spinner on a terminal, lines elsewhere."""
+    if not sys.stderr.isatty():
+        yield echo_progress
+        return
     from rich.console import Console
 
-    columns = (
-        progress.TextColumn("{task.description}"),
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        progress.TextColumn("{task.fields[rate]}"),
-        progress.TextColumn("{task.fields[left]}"),
-        progress.TextColumn("[dim]{task.fields[picture]}"),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
-        yield bar, bar.add_task("growing plants", total=None, rate="", left="", picture="")
-
-
-def _format_rate(frames_per_s: float) -> str:
-    """Frames per second, or seconds per frame."""
-    return f"{frames_per_s:.1f} frames/s" if frames_per_s >= 1 else f"{1 / frames_per_s:.1f} s a frame"
-
-
-def format_duration(seconds: float) -> str:
-    """Hours, minutes and seconds, at most two units."""
-    total = round(seconds)
-    if total >= 3600:
-        return f"{total // 3600} h {total % 3600 // 60} min"
-    return f"{total // 60} min {total % 60} s" if total >= 60 else f"{total} s"
+    with Console(stderr=True).status("") as status:
+        yield status.update
 
 
 # --- checking and exporting ---------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
-from pepperscene.cli.progress import Throttle, echo_progress, format_duration
+from pepperscene.cli.progress import Throttle, echo_progress
+from pepperscene.durations import format_duration
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

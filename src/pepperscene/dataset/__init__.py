@@ -3,6 +3,7 @@
 from pepperscene.dataset.check import CheckResult, Finding, check_dataset
 from pepperscene.dataset.execution.build import BuildProgress, BuildResult, build
 from pepperscene.dataset.execution.job import BuildOptions
+from pepperscene.dataset.execution.progress_bar import ProgressBar
 from pepperscene.dataset.execution.single_frame import render_frame
 from pepperscene.dataset.export import FORMATS, ExportResult, Splits, export_dataset
 from pepperscene.dataset.readers import open_images
@@ -41,6 +42,7 @@ __all__ = [
     "ImageSet",
     "LabelledImage",
     "Plan",
+    "ProgressBar",
     "RandomBlur",
     "RandomFlip",
     "RandomJpeg",

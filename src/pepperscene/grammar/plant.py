@@ -61,7 +61,8 @@ class Plant:
         from pepperscene.grammar.plant_view import plant_svg
         from pepperscene.notebook_view import object_html, svg_figure_html
 
-        return object_html(repr(self), [svg_figure_html(plant_svg(self), "seen along y")])
+        organs = [(self.kinds[organ.kind].form, organ.curve, organ.measures) for organ in self.organs]
+        return object_html(repr(self), [svg_figure_html(plant_svg(organs), "seen along y")])
 
     def of_kind(self, name: str) -> tuple[Organ, ...]:
         """Organs of one kind, in order."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.cultivar import OrganForm
-
-if TYPE_CHECKING:
-    from pepperscene.grammar.plant import Organ, Plant
 
 _HEIGHT_PX: Final = 480
 _MARGIN_M: Final = 0.1
@@ -30,27 +29,32 @@ _RIPE: Final = 0.5
 _UNRIPE: Final = "#33691e"
 
 
-def plant_svg(plant: Plant) -> str:
-    """SVG of the centrelines of all organs, seen along y: blades and fruit as wide as they are."""
-    points = np.concatenate([organ.curve for organ in plant.organs]) if plant.organs else np.zeros((1, 3))
+DrawnOrgan = tuple[OrganForm, NDArray[np.float64], Mapping[str, float]]
+"""Form, centreline `(k, 3)` in metres, and measures of an organ."""
+
+
+def plant_svg(organs: Sequence[DrawnOrgan]) -> str:
+    """SVG of the centrelines of all organs, seen along y: blades and fruit about as wide as they are."""
+    points = np.concatenate([np.zeros((1, 3)), *(curve for _, curve, _ in organs)])
     left, bottom = points[:, 0].min() - _MARGIN_M, points[:, 2].min() - _MARGIN_M
     width, height = np.ptp(points[:, 0]) + 2 * _MARGIN_M, np.ptp(points[:, 2]) + 2 * _MARGIN_M
     # Millimetres, y downwards.
-    lines = "".join(_organ_line(plant, organ, left, bottom + height) for organ in plant.organs)
+    lines = "".join(_organ_line(*organ, left, bottom + height) for organ in organs)
     return (
         f'<svg height="{_HEIGHT_PX}" viewBox="0 0 {1e3 * width:.0f} {1e3 * height:.0f}" '
         f'xmlns="http://www.w3.org/2000/svg" fill="none" stroke-linecap="round">{lines}</svg>'
     )
 
 
-def _organ_line(plant: Plant, organ: Organ, left: float, top: float) -> str:
-    colour, width_mm = _STROKES.get(plant.kinds[organ.kind].form, ("#888888", 4.0))
+def _organ_line(
+    form: OrganForm, curve: NDArray[np.float64], measures: Mapping[str, float], left: float, top: float
+) -> str:
+    colour, width_mm = _STROKES.get(form, ("#888888", 4.0))
     if width_mm == 0.0:
         # A part of a blade's width, because most blades are seen at an angle.
-        measures = organ.measures
         width_mm = 1e3 * measures.get("diameter_m", 0.4 * measures.get("width_m", 0.01))
-    if organ.measures.get("ripeness", 1.0) < _RIPE:
+    if measures.get("ripeness", 1.0) < _RIPE:
         colour = _UNRIPE
-    x, y = 1e3 * (organ.curve[:, 0] - left), 1e3 * (top - organ.curve[:, 2])
+    x, y = 1e3 * (curve[:, 0] - left), 1e3 * (top - curve[:, 2])
     path = " ".join(f"{a:.0f},{b:.0f}" for a, b in zip(x, y, strict=True))
     return f'<polyline points="{path}" stroke="{colour}" stroke-width="{width_mm:.0f}" stroke-opacity="0.7"/>'

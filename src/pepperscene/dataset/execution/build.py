@@ -18,7 +18,7 @@ from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.dataset import Dataset
-from pepperscene.dataset.store.dataset_view import VIEWABLE, dataset_html
+from pepperscene.dataset.store.dataset_view import VIEWABLE, frames_html
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
 from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.dataset.store.rendering_error import RenderingErrors
@@ -105,7 +105,7 @@ class BuildResult:
 
     def _repr_html_(self) -> str:
         """Some frames, small, and the notes, for notebooks."""
-        return dataset_html(self.dataset, repr(self), self.notes)
+        return frames_html(repr(self), self.dataset.indices(), self.dataset.path, self.notes)
 
 
 def build(

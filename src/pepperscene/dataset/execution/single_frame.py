@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +29,7 @@ def render_frame(
     index: int | None = None,
     outputs: Sequence[str] = DEFAULT_OUTPUTS,
     options: BuildOptions = BuildOptions(),  # noqa: B008 - frozen
+    on_stage: Callable[[str], None] | None = None,
 ) -> tuple[Path, ...]:
     """Render one frame into a folder: an image for each output, and `frame.json`.
 
@@ -41,6 +42,7 @@ def render_frame(
         index: of the frame; None for the first that the recipe selects.
         outputs: names from `OUTPUTS`.
         options: quality, target error, seed and renderer; the others are for builds and must be None.
+        on_stage: called with the name of each stage when it begins.
 
     Returns:
         The files: the images in the order of `OUTPUTS`, then `frame.json`.
@@ -71,8 +73,10 @@ def render_frame(
 
     # Render, encode, and write all files or none.
     with report_memory_errors():
-        renderer = FrameRenderer(job.recipe, job.renderer)
+        renderer = FrameRenderer(job.recipe, job.renderer, on_stage=on_stage)
         frame = renderer.render(spec, job.outputs, resolve_quality(job.quality, job.target_error))
+        if on_stage is not None:
+            on_stage("writing files")
         files = {name: encode_image(frame.images[output], output) for output, name in names.items()}
     entries = {output: file_entry(name, files[name]) for output, name in names.items()}
     metadata = {**job.info, "format": FORMAT, **job.frame_metadata(frame, spec), "outputs": entries}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import Any, Final
 
 from pepperscene.dataset.execution.memory import format_size
 from pepperscene.dataset.preview.cost import CostEstimate
 from pepperscene.dataset.preview.summary import CameraSummary, PlanSummary
+from pepperscene.durations import format_duration
 
 _INDENT: Final = 10  # columns before the text of a section
 _UNITS: Final = {"_mm_s": " mm/s", "_mm": " mm", "_deg": "°", "_hz": " Hz"}
@@ -37,19 +37,6 @@ def plan_lines(summary: PlanSummary, cost: CostEstimate | None) -> list[str]:
     for head, texts in sections:
         lines += [f"{head if not number else '':<{_INDENT}}{text}" for number, text in enumerate(texts)]
     return lines
-
-
-def format_duration(seconds: float) -> str:
-    """Days, hours, minutes and seconds, at most two units."""
-    if seconds < 10:
-        return f"{seconds:.2g} s"
-    total = round(seconds)
-    units = ((86_400, "d"), (3600, "h"), (60, "min"), (1, "s"))
-    for (large, name), (small, next_name) in pairwise(units):
-        if total >= large:
-            rest = total % large // small
-            return f"{total // large} {name} {rest} {next_name}"
-    return f"{total} s"
 
 
 def _frames_text(summary: PlanSummary) -> str:

@@ -98,6 +98,7 @@ class FrameRenderer:
         recipe: a recipe, its resolved form, a shipped name or a path.
         renderer: makes the renderer of a scene; None for Mitsuba.
         culled: see the attribute.
+        on_stage: called with the name of each stage that takes long, when it begins.
 
     Raises:
         InputError: the recipe or a file that it names is missing or not valid.
@@ -109,6 +110,7 @@ class FrameRenderer:
         renderer: RendererFactory | None = None,
         *,
         culled: bool = True,
+        on_stage: Callable[[str], None] | None = None,
     ) -> None:
         self.resolved = resolve_recipe(recipe)
         self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
@@ -116,6 +118,7 @@ class FrameRenderer:
         self.views = CameraViews(self.setups, lambda setup: make_greenhouse(setup.recipe.greenhouse))
         self.culled = culled and not self.views.depends_on_scene
         self._renderer_factory = renderer or mitsuba_renderer
+        self._on_stage = on_stage or _ignore
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
         self._skies: dict[tuple[int, str, str], Sky | None] = {}
@@ -144,6 +147,7 @@ class FrameRenderer:
             further["sky"] = self.sky(spec)
         if traced and setup.recipe.exposure_control is not None:
             further["exposure_control"] = setup.recipe.exposure_control.control()
+        self._on_stage(f"rendering frame {spec.index}")
         frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
         return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
 
@@ -221,6 +225,7 @@ class FrameRenderer:
         if self._held is None or self._held.key not in (key, (*key[:3], True)):
             # Release the old scene before making the new one.
             self._held = None
+            self._on_stage("growing plants")
             assembled = self.assemble(spec, traced=traced)
             renderer = self._renderer_factory(assembled.scene)
             self._held = _HeldScene(key, (spec.set, setup.light), assembled, renderer)
@@ -263,6 +268,10 @@ class FrameRenderer:
             setup.cultivar, float(first), float(last), other_process=other_process
         )
         return surfaces, self.sky(spec)
+
+
+def _ignore(_: str) -> None:
+    """Callback of a caller that wants none."""
 
 
 def _exposures(setup: FrameSetup) -> list[Camera]:

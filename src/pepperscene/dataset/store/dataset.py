@@ -85,9 +85,9 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """Some frames, small, for notebooks."""
-        from pepperscene.dataset.store.dataset_view import dataset_html
+        from pepperscene.dataset.store.dataset_view import frames_html
 
-        return dataset_html(self)
+        return frames_html(repr(self), self.indices(), self.path)
 
     def indices(self) -> tuple[int, ...]:
         """The existing frames, ascending."""
