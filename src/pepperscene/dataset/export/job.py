@@ -175,11 +175,11 @@ class ExportJob:
         )
 
 
-def import_library(module: str) -> Any:
-    """Import a module of a library that the extra `export` installs."""
+def import_library(module: str, extra: str = "export") -> Any:
+    """Import a module of a library that an extra installs."""
     try:
         return import_module(module)
     except ImportError:
         name = module.partition(".")[0]
         problem = f"this format needs {name}, which is not installed"
-        raise SetupError(f"{problem}; install it with `pip install 'pepperscene[export]'`") from None
+        raise SetupError(f"{problem}; install it with `pip install 'pepperscene[{extra}]'`") from None

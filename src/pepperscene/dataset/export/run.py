@@ -49,12 +49,13 @@ class ExportFormat:
     """One format, written by the function `write_NAME` of the module NAME."""
 
     required: tuple[tuple[str, ...], ...]  # outputs of all frames; of alternatives in a tuple, one is enough
-    library: str = ""  # module that the extra `export` installs
+    library: str = ""  # module that it needs
     smallest_px: int | None = None  # default of `export_dataset`; None for formats without objects
     reserved: tuple[str, ...] = ()  # names that no split may have: of other folders, or of other keys
     classes: str | None = None  # default of `export_dataset`
     has_background: bool = False  # whether the background can be a class
     has_masks: bool = False  # whether ignored pixels, if there can be some, are written as masks
+    extra: str = "export"  # that installs the library
 
 
 KEEP: Final = "keep"
@@ -81,6 +82,9 @@ FORMATS: Final = MappingProxyType(
         "colmap": ExportFormat((("colour",), DEPTH_OUTPUTS), has_masks=True),
         "ply": ExportFormat((("colour",), DEPTH_OUTPUTS, ("class",), ("instance",))),
         "rgbd": ExportFormat((("colour",), DEPTH_OUTPUTS)),
+        "rerun": ExportFormat(
+            (("colour",), DEPTH_OUTPUTS, ("class",), ("instance",)), "rerun", 1, extra="rerun"
+        ),
         "bop": ExportFormat((("colour",), DEPTH_OUTPUTS, ("instance",), ("harvest",)), reserved=("models",)),
     }
 )
@@ -143,7 +147,7 @@ def export_dataset(
             raise ArgumentError("split", problem)
     job = ExportJob(dataset, members, selection, on_frame)
     if export_format.library:
-        import_library(export_format.library)
+        import_library(export_format.library, export_format.extra)
     required = export_format.required
     if selection.needs_harvest:
         required = (*required, ("harvest",))
