@@ -143,3 +143,26 @@ def test_named_frames_whole_plans_and_json_need_no_note(command, tmp_path, argum
     result = command("build", "barth2018", "--out", tmp_path / "set", *SMALL, *LABELS, *arguments)
     assert result.exit_code == 0, result.stderr
     assert "selected" not in result.stderr + result.stdout
+
+
+def test_dry_run_of_a_build_is_its_plan(command, here):
+    arguments = ("barth2018", *SMALL, *LABELS)
+    build = command("build", *arguments, "--out", "set", "--dry-run")
+    plan = command("plan", *arguments)
+    assert build.exit_code == 0, build.stderr
+    assert build.stderr == plan.stderr
+    # All but the estimated times are equal.
+    for first, second in zip(build.stdout.splitlines(), plan.stdout.splitlines(), strict=True):
+        assert first == second or first.split()[0] == second.split()[0] == "time"
+    assert list(here.iterdir()) == []
+
+
+def test_dry_run_describes_the_named_frames(command, here):
+    result = command("build", "barth2018", *SMALL, *LABELS, "--out", "set", "--frames", "1:4", "--dry-run")
+    assert result.exit_code == 0, result.stderr
+    assert "3 selected: 1, 2, 3" in result.stdout
+    assert "estimate  from frame 1 " in result.stdout
+    wrong = command("build", "barth2018", *SMALL, "--out", "set", "--frames", "1:99", "--dry-run")
+    assert wrong.exit_code == 2
+    assert "frames" in wrong.stderr
+    assert list(here.iterdir()) == []

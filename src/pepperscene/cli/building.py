@@ -20,6 +20,7 @@ from pepperscene.cli.application import (
     parse_outputs,
 )
 from pepperscene.cli.interrupts import raise_if_interrupted
+from pepperscene.cli.planning import describe_build, select_frames
 
 
 @app.command()
@@ -50,6 +51,12 @@ def build(
     json: Annotated[
         bool, typer.Option("--json", help="Report progress as JSON lines on standard output.")
     ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="Only describe the build, as `plan` does: frames, time, memory and disk space."
+        ),
+    ] = False,
 ) -> None:
     """Build a data set. Finished frames are kept: run the same command again to resume a build."""
     names = parse_outputs(outputs)
@@ -58,6 +65,10 @@ def build(
     from pepperscene.dataset import build as build_dataset
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()))
+    if dry_run:
+        options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
+        describe_build(select_frames(recipe, set, frames), names, options, json=json)
+        return
     try:
         with progress_reporter(json) as reporter:
 

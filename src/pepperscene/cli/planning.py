@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json as json_text
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,6 +22,9 @@ from pepperscene.cli.application import (
     parse_outputs,
 )
 from pepperscene.cli.progress import echo_progress
+
+if TYPE_CHECKING:
+    from pepperscene.dataset import BuildOptions, ResolvedRecipe
 
 
 @app.command()
@@ -55,13 +59,40 @@ def plan(
 ) -> None:
     """Describe what a build would make, what it costs and where its cameras are, without building."""
     names = parse_outputs(outputs)
-    from pepperscene.dataset import BuildOptions, parse_changes, resolve_recipe
+    from pepperscene.dataset import BuildOptions
+
+    options = BuildOptions(quality=quality, seed=seed, workers=workers)
+    describe_build(select_frames(recipe, set), names, options, json=json, probe=probe, out=out, poses=poses)
+
+
+def select_frames(recipe: str, changes: list[str] | None, frames: str | None = None) -> ResolvedRecipe:
+    """A recipe with changes as for `--set`, which selects frames "A:B", or those of the recipe."""
+    from pepperscene.dataset import parse_changes, resolve_recipe
+
+    values = parse_changes(changes or ())
+    resolved = resolve_recipe(recipe, values)
+    if frames is None:
+        return resolved
+    selected = list(resolved.recipe.plan.select_indices(frames))
+    return resolve_recipe(recipe, {**values, "plan.select": selected})
+
+
+def describe_build(
+    resolved: ResolvedRecipe,
+    outputs: tuple[str, ...],
+    options: BuildOptions,
+    *,
+    json: bool,
+    probe: bool = True,
+    out: Path | None = None,
+    poses: Path | None = None,
+) -> None:
+    """Print what a build would make and cost; the other arguments are those of `plan`."""
     from pepperscene.dataset.preview.preview import preview_plan
     from pepperscene.dataset.preview.text import plan_lines
 
-    resolved = resolve_recipe(recipe, parse_changes(set or ()))
-    options = BuildOptions(quality=quality, seed=seed, workers=workers, on_notice=_echo_notice)
-    preview = preview_plan(resolved, names, options, probe=probe, picture=out, poses=poses)
+    options = replace(options, on_notice=_echo_notice)
+    preview = preview_plan(resolved, outputs, options, probe=probe, picture=out, poses=poses)
     if json:
         typer.echo(json_text.dumps(preview.to_json(), indent=2, default=str))
         return
