@@ -21,9 +21,11 @@ from pepperscene.camera import (
 )
 from pepperscene.render.transport.accumulate import SampleAccumulator
 from pepperscene.render.transport.adaptive import (
+    _INDIRECT_COST,
     VARIANCE_GAIN,
     AdaptiveSampler,
     _variance_scale,
+    balanced_share,
     code_response,
     denoised_error,
 )
@@ -347,7 +349,7 @@ def test_required_samples_meet_the_target(target):
 
 
 def test_noisy_indirect_light_does_not_multiply_direct_samples():
-    # Direct light may then still have half of the error.
+    # Direct light may then still have half of the allowed error, or more.
     camera = CAMERAS["flash"]
     direct = edge_variance(camera, 0.1)
     accumulator = accumulated(camera, 0.1, direct, 1e3 * direct)
@@ -356,7 +358,7 @@ def test_noisy_indirect_light_does_not_multiply_direct_samples():
     variance = (codes.per_white**2 * ndimage.uniform_filter(direct, 3, mode="nearest")).ravel()
     allowed = 0.5 * 0.3**2 * float(np.square(codes.noise).mean())
     expected = np.clip(sampler._distribute(variance.astype(np.float32), allowed), 4, 16)
-    assert (sampler.required(accumulator) == expected).mean() > 0.99
+    assert (sampler.required(accumulator) <= expected).all()
 
 
 def test_black_frames_need_no_more_samples():
@@ -394,3 +396,33 @@ def test_pixels_above_the_maximum_keep_their_samples():
     accumulator = accumulated(camera, 0.1, edge_variance(camera, 0.1), edge_variance(camera, 0.1), n=128)
     required = AdaptiveSampler(camera, 0.01, 64, denoised=True).required(accumulator)
     assert np.array_equal(required, accumulator.samples)
+
+
+@pytest.mark.parametrize("indirect_samples", [2, 8])
+@pytest.mark.parametrize("ratio", [0.01, 1.0, 100.0])
+def test_balanced_share_has_the_smallest_product_of_time_and_variance(indirect_samples, ratio):
+    samples = np.geomspace(1e-2, 1e5, 200_001)
+    direct = ratio * samples**-1.5  # over the variance of indirect light
+    best = np.argmin((_INDIRECT_COST * indirect_samples + samples) * (1.0 + direct))
+    assert 0 < best < samples.size - 1
+    assert direct[best] == pytest.approx(balanced_share(samples[best], indirect_samples), rel=1e-2)
+
+
+def test_direct_samples_are_in_balance_where_indirect_light_misses_the_target():
+    camera = CAMERAS["flash"]
+    direct = edge_variance(camera, 0.1)
+    indirect = 1e3 * direct
+    accumulator = accumulated(camera, 0.1, direct, indirect)
+    sampler = AdaptiveSampler(camera, 0.15, 1 << 14, denoised=True)
+    codes = code_response(accumulator.total(), accumulator.white, camera)
+    required = sampler.required(accumulator)
+    # The number that is wanted, before the limits of a round: at most four times as many as there are.
+    assert required.max() <= 16
+    remaining = float(np.mean(codes.per_white**2 * indirect)) * denoised_error(0.5) ** 2 / 4
+    variance = (codes.per_white**2 * ndimage.uniform_filter(direct, 3, mode="nearest")).ravel()
+    share = 0.1
+    for _ in range(20):
+        wanted = sampler._distribute(variance.astype(np.float32), share * remaining)
+        share = np.sqrt(share * balanced_share(float(wanted.mean()), 4))
+    np.testing.assert_array_less(required, 2.01 * np.clip(wanted, 4, 16))
+    np.testing.assert_array_less(0.49 * np.clip(wanted, 4, 16), required)
