@@ -11,7 +11,7 @@ from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, Rando
 from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
 from pepperscene.errors import ArgumentError
 
-PADDING = {"image": 0, "mask": 255, "instances": 0, "distance": np.inf}
+PADDING = {"image": 0, "mask": 255, "instances": 0, "distance": np.inf, "depth_z": np.inf}
 COLOUR_STEPS = (ColourJitter, RandomBlur, RandomNoise, RandomJpeg)
 NONE = dict.fromkeys(("brightness", "contrast", "saturation", "hue", "gamma", "gains"), 0.0)
 LUMA = np.array([0.299, 0.587, 0.114])

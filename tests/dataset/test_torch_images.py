@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from data_sets import set_without_plants
 from memory_set import SIZE, coded_arrays, coded_set, memory_set
 from processes import run_python
 
@@ -398,7 +399,7 @@ def test_memory_does_not_grow_with_epochs(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"keys": ()}, "keys: must be some of image, mask, instances, distance, not none"),
+        ({"keys": ()}, "keys: must be some of image, mask, instances, distance, depth_z, not none"),
         ({"keys": "depth"}, "keys: must be some of .*, not depth"),
         ({"keys": ("image", "name")}, "keys: must be some of .*, not name"),
         ({"keys": None}, "keys: must be some of .*, not None"),
@@ -434,3 +435,16 @@ def test_an_error_in_a_worker_names_the_image():
     # The DataLoader raises another type with the same text.
     with pytest.raises(Exception, match="memory: photo has no mask: leave it out of keys"):
         samples_of(dataset, 1)
+
+
+def test_depth_along_the_axis_is_read_and_moves_with_the_image(tmp_path):
+    dataset = set_without_plants(tmp_path / "set", [0], ("colour", "depth_z"))
+    expected = torch.from_numpy(dataset.image(0, "depth_z"))
+    (plain,) = torch_images(dataset.folder, ("image", "depth_z"), tensors="plain")
+    assert plain["depth_z"].dtype == torch.float32
+    assert torch.equal(plain["depth_z"], expected)
+    flip = Augmentation((RandomFlip(probability=1.0),))
+    (flipped,) = torch_images(dataset.folder, ("image", "depth_z"), augmentation=flip, tensors="plain")
+    assert torch.equal(flipped["depth_z"], expected.flip(-1))
+    with pytest.raises(InputError, match="depth_z"):
+        torch_images(set_without_plants(tmp_path / "other", [0], ("colour",)).folder, "depth_z")[0]

@@ -18,7 +18,7 @@ VOID: Final = IGNORE_CLASS
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 
-FIELDS: Final = ("colour", "classes", "instances", "distance_m", "metadata")
+FIELDS: Final = ("colour", "classes", "instances", "distance_m", "depth_z_m", "metadata")
 """Fields of `LabelledImage` that a reader reads or skips."""
 
 
@@ -32,6 +32,7 @@ class LabelledImage:
         classes: `(h, w)` uint8, ids of `OrganClass`, or `VOID`.
         instances: `(h, w)` uint16, 0 where there is none.
         distance_m: `(h, w)` float32, metres along the ray from the projection centre, inf for none.
+        depth_z_m: `(h, w)` float32, metres along the optical axis, inf for none.
         metadata: further metadata: the JSON of a rendered frame, the files of an image in a folder.
     """
 
@@ -40,6 +41,7 @@ class LabelledImage:
     classes: NDArray[np.uint8] | None
     instances: NDArray[np.uint16] | None = None
     distance_m: NDArray[np.float32] | None = None
+    depth_z_m: NDArray[np.float32] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -48,7 +50,7 @@ class LabelledImage:
             raise ValueError(f"{self.name}: its images differ in size, {sorted(sizes)}")
 
     def _sizes(self) -> set[tuple[int, int]]:
-        arrays = (self.colour, self.classes, self.instances, self.distance_m)
+        arrays = (self.colour, self.classes, self.instances, self.distance_m, self.depth_z_m)
         return {(array.shape[0], array.shape[1]) for array in arrays if array is not None}
 
     @property

@@ -25,6 +25,7 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
     "classes": (("class", None), ("class_colour", class_from_colour)),
     "instances": (("instance", None),),
     "distance_m": (("distance", None), ("distance_code", distance_from_code)),
+    "depth_z_m": (("depth_z", None),),
 }
 """Outputs that a field can be read from, the best first, and how to decode them."""
 

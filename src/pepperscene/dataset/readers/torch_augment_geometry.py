@@ -18,7 +18,13 @@ from pepperscene.dataset.readers.torch_augment_step import (
 )
 from pepperscene.errors import ArgumentError
 
-_PADDING: Final[Mapping[str, float]] = {"image": 0, "mask": VOID, "instances": 0, "distance": np.inf}
+_PADDING: Final[Mapping[str, float]] = {
+    "image": 0,
+    "mask": VOID,
+    "instances": 0,
+    "distance": np.inf,
+    "depth_z": np.inf,
+}
 """Value of pixels outside the original image: black, void, no organ, nothing."""
 
 

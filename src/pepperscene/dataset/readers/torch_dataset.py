@@ -22,7 +22,7 @@ from pepperscene.dataset.readers.torch_tensors import TensorTypes, image_tensor,
 from pepperscene.errors import ArgumentError, InputError
 
 FIELDS: Final[Mapping[str, str]] = dict(
-    zip(ARRAY_KEYS, ("colour", "classes", "instances", "distance_m"), strict=True)
+    zip(ARRAY_KEYS, ("colour", "classes", "instances", "distance_m", "depth_z_m"), strict=True)
 )
 """Field of `LabelledImage` by key of a sample."""
 
