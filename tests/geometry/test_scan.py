@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -153,15 +154,52 @@ def test_raises_on_other_formats_and_missing_files(tmp_path):
         load_scan(folder)
 
 
-def test_scan_with_too_many_triangles_is_simplified_or_refused(tmp_path):
+@pytest.mark.parametrize("suffix", ["ply", "stl"])
+def test_scan_with_many_triangles_is_simplified(tmp_path, suffix):
+    pytest.importorskip("fast_simplification")
+    path = save(apple(6), tmp_path / f"fruit.{suffix}")
+    fine, coarse = load_scan(path), load_scan(save(apple(5), tmp_path / f"coarse.{suffix}"))
+    assert 0.9 * MAX_TRIANGLES < len(fine.faces) <= MAX_TRIANGLES
+    # The same body: its points are on the surface of the other one.
+    surface = trimesh.Trimesh(coarse.points, coarse.faces)
+    distance = np.abs(trimesh.proximity.signed_distance(surface, fine.points[::50]))
+    assert distance.max() < 2e-3
+    body = trimesh.Trimesh(fine.points, fine.faces)
+    body.merge_vertices(merge_tex=True, merge_norm=True)
+    assert body.volume == pytest.approx(surface.volume, rel=2e-3)
+
+
+def test_scan_with_many_triangles_needs_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fast_simplification", None)
     path = save(apple(6), tmp_path / "fruit.ply")
-    try:
-        import fast_simplification  # noqa: F401
-    except ImportError:
-        with pytest.raises(InputError, match="fast-simplification"):
-            load_scan(path)
-    else:
-        assert len(load_scan(path).faces) <= MAX_TRIANGLES
+    with pytest.raises(
+        InputError, match=r"has 81,920 triangles, and 25,000 are used; `pip install 'pepperscene\[scan\]'`"
+    ):
+        load_scan(path)
+
+
+@pytest.mark.parametrize(("up", "axis"), [("x", 0), ("y", 1), ("z", 2), ("-x", 0), ("-y", 1), ("-z", 2)])
+def test_any_axis_of_the_file_can_be_up(tmp_path, up, axis):
+    body = apple(3)
+    upright = load_scan(save(body, tmp_path / "upright.ply"))
+    # Turn z to the axis; only the turn about it is free.
+    direction = np.eye(3)[axis] * (-1.0 if up.startswith("-") else 1.0)
+    turned = body.copy()
+    turned.apply_transform(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], direction))
+    scan = load_scan(save(turned, tmp_path / "turned.ply"), up)
+    for one in (scan, upright):
+        assert one.points[:, 2].min() < 0.0 < one.points[:, 2].max()
+    # Distances from the axis and along it are the same set.
+    radii = [np.sort(np.round(np.hypot(*one.points.T[:2]), 4)) for one in (scan, upright)]
+    along = [np.sort(np.round(one.points[:, 2], 4)) for one in (scan, upright)]
+    unique = [np.unique(values) for values in (*radii, *along)]
+    assert abs(len(unique[2]) - len(unique[3])) < 0.1 * len(unique[3])
+    np.testing.assert_allclose(
+        np.quantile(along[0], [0, 0.1, 0.5, 0.9, 1]), np.quantile(along[1], [0, 0.1, 0.5, 0.9, 1]), atol=5e-3
+    )
+    np.testing.assert_allclose(
+        np.quantile(radii[0], [0.1, 0.5, 1]), np.quantile(radii[1], [0.1, 0.5, 1]), atol=5e-3
+    )
 
 
 def test_scan_is_loaded_again_after_its_file_changes(tmp_path):

@@ -32,6 +32,7 @@ from pepperscene.cultivar.notation import (
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
 
+ScanAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 OrganForm = Literal["internode", "node", "stalk", "blade", "peduncle", "calyx", "fruit", "cut", "flower"]
 FORMS: Final[tuple[OrganForm, ...]] = get_args(OrganForm)
 
@@ -44,6 +45,7 @@ class OrganKind:
     organ_class: OrganClass  # label of all its pixels
     surface: str  # name of its surface
     scan: Path | None = None  # file of a scanned mesh to use instead of a generated one, or None
+    scan_up: ScanAxis = "z"  # axis of that file that points to the stalk end
 
 
 DEFAULT_KINDS: Final[Mapping[OrganForm, OrganKind]] = MappingProxyType(
@@ -92,7 +94,9 @@ class OrganModel(Document):
         """Form, class, surface and scan, with the form's defaults."""
         default = DEFAULT_KINDS[self.form]
         label = default.organ_class if self.organ_class is None else OrganClass[self.organ_class.upper()]
-        return OrganKind(self.form, label, self.surface or default.surface, getattr(self, "scan", None))
+        scan: Path | None = getattr(self, "scan", None)
+        up: ScanAxis = getattr(self, "scan_up", "z")
+        return OrganKind(self.form, label, self.surface or default.surface, scan, up)
 
     @property
     def distributions(self) -> dict[str, Distribution]:
@@ -240,6 +244,7 @@ class Fruit(OrganModel):
     residue: Fraction = _constant(0.0)  # mean cover of the skin with russet, scars and dried spray
     lobes: Lobes = Number(probabilities={"four": 1.0}, chosen="the usual number of a blocky pepper")
     scan: Path | None = None  # a mesh file to use instead of a generated mesh
+    scan_up: ScanAxis = "z"  # axis of that file that points to the stalk end
     calyx: bool = True  # whether it has one
 
     @model_validator(mode="after")

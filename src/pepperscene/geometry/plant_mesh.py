@@ -121,17 +121,18 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
     modelled = None
     if fruit.size:
         # The modelled fruit share a grid, and so do those that use the same scan.
-        scans = [plant.kinds[plant.organs[index].kind].scan for index in fruit]
-        groups = [np.flatnonzero([scan == path for scan in scans]) for path in dict.fromkeys(scans)]
+        kinds = [plant.kinds[plant.organs[index].kind] for index in fruit]
+        scans = [(kind.scan, kind.scan_up) for kind in kinds]
+        groups = [np.flatnonzero([scan == used for scan in scans]) for used in dict.fromkeys(scans)]
         shoulders = []
         for group in groups:
-            organs, path = [plant.organs[index] for index in fruit[group]], scans[group[0]]
+            organs, (path, up) = [plant.organs[index] for index in fruit[group]], scans[group[0]]
             if path is None:
                 pericarps = build_pericarps(organs, detail)
                 parts.append((fruit[group], mesh_fruits(organs, pericarps)))
                 shoulders.append(pericarp_shoulders(pericarps))
             else:
-                scan = load_scan(path)
+                scan = load_scan(path, up)
                 parts.append((fruit[group], mesh_scanned_fruits(organs, scan)))
                 shoulders.append(scan_shoulders(organs, scan))
         frames = fruit_frames([plant.organs[index] for index in fruit])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pepperscene.cultivar.organs import ScanAxis
 from pepperscene.errors import InputError
 from pepperscene.geometry.batch import MeshBatch, read_positive
 from pepperscene.geometry.fruit.fruits import (
@@ -35,6 +36,17 @@ _DECIMALS: Final = 6  # of the greatest extent, to which points are equal; chose
 _DEBRIS: Final = 0.1  # chosen: loose parts below this fraction of the largest one's area are dropped
 _HOLE: Final = 0.15  # chosen: holes up to this fraction of the greatest extent are closed
 _FLAT: Final = 0.02  # chosen: least extent over the greatest; the slimmest peppers have a tenth
+
+
+_UPRIGHT: Final[dict[ScanAxis, FloatArray]] = {
+    "z": np.eye(3),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "x": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "-x": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+}
+"""Rotations that turn an axis of the file up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +85,21 @@ def scan_shoulders(organs: Sequence[Organ], scan: Scan) -> Shoulders:
     return Shoulders(diameter[:, None] * scan.shoulders.extent, length[:, None, None] * scan.shoulders.along)
 
 
-def load_scan(path: Path) -> Scan:
+def load_scan(path: Path, up: ScanAxis = "z") -> Scan:
     """Load a scanned fruit; it is cached until its file changes.
 
-    The file's z axis is the fruit's, its stalk end on top and the stalk itself cut off; units and position do
-    not matter. Equal points are merged, degenerate and duplicate triangles and loose debris dropped, small
-    holes closed, faces turned outwards. Above 25,000 triangles it is simplified if the package
-    fast-simplification is installed (Garland & Heckbert 1997, "Surface simplification using quadric error
+    Units and position do not matter. Equal points are merged, degenerate and duplicate triangles and loose
+    debris dropped, small holes closed, faces turned outwards. Above 25,000 triangles it is simplified by the
+    package fast-simplification (Garland & Heckbert 1997, "Surface simplification using quadric error
     metrics").
 
+    Args:
+        path: OBJ, PLY or STL file, with the stalk cut off.
+        up: axis of the file that points to the stalk end.
+
     Raises:
-        InputError: the file does not exist, cannot be read, or is not one closed body after cleaning.
+        InputError: the file does not exist, cannot be read, is not one closed body after cleaning, or has too
+            many triangles and the extra `scan` is not installed.
     """
     if path.suffix.lower() not in FORMATS:
         raise InputError(path, ALLOWED_SCAN)
@@ -91,13 +107,14 @@ def load_scan(path: Path) -> Scan:
         status = path.stat()
     except OSError:
         raise InputError(path, f"there is no such file; {ALLOWED_SCAN}") from None
-    return _load(path, status.st_mtime_ns, status.st_size)
+    return _load(path, up, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=16)
-def _load(path: Path, _changed_ns: int, _size: int) -> Scan:
+def _load(path: Path, up: ScanAxis, _changed_ns: int, _size: int) -> Scan:
     """The scan in a file of that modification time and size."""
-    return _unit_size(path, _simplify(path, _clean(path, *read_triangles(path))))
+    vertices, faces = read_triangles(path)
+    return _unit_size(path, _clean(path, *_simplify(path, vertices @ _UPRIGHT[up].T, faces)))
 
 
 def _clean(path: Path, vertices: FloatArray, faces: IndexArray) -> trimesh.Trimesh:
@@ -112,7 +129,7 @@ def _clean(path: Path, vertices: FloatArray, faces: IndexArray) -> trimesh.Trime
     mesh = trimesh.Trimesh((vertices - 0.5 * (low + high)) / extent.max(), faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_DECIMALS)
     # Needles without area stay if their three points differ: without them the surface would be open.
-    distinct = np.array([len(set(face)) == 3 for face in mesh.faces.tolist()], dtype=bool)
+    distinct = (mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1)
     mesh.update_faces(distinct & mesh.unique_faces())
     _keep_largest(path, mesh)
     trimesh.repair.fix_winding(mesh)
@@ -164,20 +181,35 @@ def _close_holes(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
 
 
-def _simplify(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh itself, or a simplified one if it has too many triangles."""
-    count = len(mesh.faces)
-    if count <= MAX_TRIANGLES:
-        return mesh
+def _simplify(path: Path, vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray]:
+    """The surface itself, or a simplified one if it has too many triangles.
+
+    It comes before cleaning, which takes a minute for a million triangles.
+    """
+    if len(faces) <= MAX_TRIANGLES:
+        return vertices, faces
     try:
-        simple = mesh.simplify_quadric_decimation(face_count=MAX_TRIANGLES)
-    except ImportError as error:
+        from fast_simplification import simplify
+    except ImportError:
         problem = (
-            f"has {count} triangles, and {MAX_TRIANGLES} are allowed; "
-            f"install the package fast-simplification to have it simplified ({error})"
+            f"has {len(faces):,} triangles, and {MAX_TRIANGLES:,} are used; "
+            "`pip install 'pepperscene[scan]'` installs what simplifies it"
         )
         raise InputError(path, problem) from None
-    return _clean(path, np.asarray(simple.vertices, dtype=float), np.asarray(simple.faces, dtype=np.intp))
+    import trimesh
+
+    # In units of its size, because the package computes in single precision; with equal points merged.
+    low, extent = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    if not extent > 0.0:
+        raise InputError(path, f"is flat; {ALLOWED_SCAN}")
+    mesh = trimesh.Trimesh((vertices - low) / extent, faces, process=False)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_DECIMALS)
+    mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))
+    fraction = 1.0 - MAX_TRIANGLES / max(len(mesh.faces), MAX_TRIANGLES + 1)
+    points, triangles = simplify(
+        np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), target_reduction=fraction
+    )
+    return low + extent * points.astype(float), triangles.astype(np.intp)
 
 
 def _unit_size(path: Path, mesh: trimesh.Trimesh) -> Scan:

@@ -17,7 +17,8 @@ from pepperscene.geometry.mesh import FloatArray, IndexArray
 
 FORMATS: Final = (".obj", ".ply", ".stl")
 ALLOWED_SCAN: Final = (
-    "a scanned fruit must be an OBJ, PLY or STL file with one closed surface, z up at its stalk"
+    "a scanned fruit must be an OBJ, PLY or STL file with one closed surface, "
+    "upright with its stalk end on top"
 )
 
 _LARGEST_COORDINATE: Final = 1e12
