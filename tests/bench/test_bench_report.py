@@ -100,7 +100,8 @@ def test_no_ratio_is_stated_outside_the_measured_range():
     rows = result_table([*ours, *path]).splitlines()
     assert rows[2].endswith("| 36 × |")
     assert rows[3].endswith("| > 32 × |")
-    # Nothing is known of errors above those of the path tracer.
+    # A bound below 1 says nothing, and nothing is known of errors above those of the path tracer.
+    assert relative_path_time(result(NAMED, "target 0.1", 99.0, 1.5), path) is None
     assert relative_path_time(result(NAMED, "draft", 1.0, 13.0), path) is None
     # One code is compared only if both have measured around it.
     below = result(ADAPTIVE, "target 0.1", 4.0, 0.5)

@@ -120,7 +120,8 @@ def relative_path_time(result: BenchResult, results: Iterable[BenchResult]) -> R
     """Time of the path tracer at a result's error relative to the result's.
 
     If all measured errors of the path tracer are larger, it is a lower bound, from its most accurate setting.
-    None if the result has no measurable error, or the path tracer's are smaller.
+    None if the result has no measurable error, if the path tracer's are smaller, or for a bound below 1, which
+    says nothing.
     """
     error = result.errors.codes.root
     points = _points(other for other in results if other.family == PLAIN and other.scene == result.scene)
@@ -128,7 +129,8 @@ def relative_path_time(result: BenchResult, results: Iterable[BenchResult]) -> R
         return None
     slowest_s, least_error = points[-1]
     if error < least_error:
-        return RelativeTime(slowest_s / result.median_s, is_bound=True)
+        bound = slowest_s / result.median_s
+        return RelativeTime(bound, is_bound=True) if bound > 1.0 else None
     seconds = time_at_error(error, points)
     return None if seconds is None else RelativeTime(seconds / result.median_s)
 
