@@ -119,9 +119,10 @@ class RelativeTime:
 def relative_path_time(result: BenchResult, results: Iterable[BenchResult]) -> RelativeTime | None:
     """Time of the path tracer at a result's error relative to the result's.
 
-    If all measured errors of the path tracer are larger, it is a lower bound, from its most accurate setting.
-    None if the result has no measurable error, if the path tracer's are smaller, or for a bound below 1, which
-    says nothing.
+    If all measured errors of the path tracer are larger, it is a lower bound, from its most accurate
+    setting.
+    None if the result has no measurable error, if the path tracer's are smaller, or for a bound below 1,
+    which says nothing.
     """
     error = result.errors.codes.root
     points = _points(other for other in results if other.family == PLAIN and other.scene == result.scene)
