@@ -612,6 +612,19 @@ def command_line() -> Image.Image:
     return terminal(lines[:14])
 
 
+def troubleshooting() -> Image.Image:
+    """What `pepperscene doctor` finds."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pepperscene", "doctor"], capture_output=True, text=True, check=True
+    )
+    lines = [("$ pepperscene doctor", "#7fd07f")]
+    for line in done.stdout.rstrip().splitlines():
+        # Without paths, which are those of one machine.
+        text = re.sub(r"  +", "  ", re.sub(r" \(?/\S*", "", line))
+        lines.append((text if len(text) <= 37 else f"{text[:36].rstrip()}…", "#dddddd"))
+    return terminal(lines[:14])
+
+
 def recipe() -> Image.Image:
     """The rows of plants and the path of the camera from above, from the values of `barth2018`."""
     table = ps.load_recipe("barth2018")
@@ -1080,9 +1093,9 @@ PHOTOGRAPHS: Final = (
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (
-    colour_tuning, views, cluster, report, compare, benchmark, command_line, recipe, devices, patches,
-    tuning_parameters, tuning_files, pose_files, conventions, api, glossary, architecture, reliability,
-    optics, colour, learning,
+    colour_tuning, views, cluster, report, compare, benchmark, troubleshooting, command_line, recipe,
+    devices, patches, tuning_parameters, tuning_files, pose_files, conventions, api, glossary,
+    architecture, reliability, optics, colour, learning,
 )  # fmt: skip
 FIGURES: Final[dict[str, Callable[[], Image.Image]]] = {
     one.__name__: one for one in (*PHOTOGRAPHS, *DRAWINGS)

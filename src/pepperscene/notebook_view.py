@@ -20,13 +20,15 @@ def picture_html(picture: NDArray[np.uint8] | Path, caption: str) -> str:
     """A small picture with a caption.
 
     Args:
-        picture: `(h, w)` or `(h, w, 3)` uint8, or an image file that Pillow reads.
+        picture: `(h, w)` or `(h, w, 3)` uint8, or a PNG file.
         caption: plain text.
     """
     from PIL import Image
 
     # Only here: the import takes a tenth of a second.
-    image: Any = Image.open(picture) if isinstance(picture, Path) else Image.fromarray(picture)
+    image: Any = (
+        Image.open(picture, formats=("PNG",)) if isinstance(picture, Path) else Image.fromarray(picture)
+    )
     with image:
         small = image.convert("RGB")
         small.thumbnail((WIDTH_PX, 2 * WIDTH_PX))

@@ -163,7 +163,9 @@ def test_masks_of_photographs_are_training_targets(torch, tmp_path):
 
 
 def test_rejects_invalid_arguments(small):
-    with pytest.raises(InputError, match="must be some of image, mask, instances, distance, not depth"):
+    with pytest.raises(
+        InputError, match="must be some of image, mask, instances, distance, depth_z, not depth"
+    ):
         torch_images(small.folder, ("image", "depth"))
     with pytest.raises(InputError, match="must be float32 or uint8, not 'int8'"):
         torch_images(small.folder, dtype="int8")

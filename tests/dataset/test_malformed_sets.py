@@ -28,7 +28,7 @@ from pepperscene.truth.encodings import encode_rle
 
 SIZE = (12, 16)
 OUTPUTS = ("colour", "class", "instance", "distance", "distance_code", "harvest")
-PAINTED = [name for name in FORMATS if name != "bop"]  # `bop` needs plants
+PAINTED = [name for name in FORMATS if name not in ("bop", "rerun")]  # these need plants, and a large package
 FILES = ("dataset.json", "frames/000000.json", "harvest/000000.json")
 REMOVED = object()
 DEEP = [[]]

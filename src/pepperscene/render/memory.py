@@ -76,6 +76,7 @@ _DENOISER_TILE: Final = 2160 * 2160
 _DENOISER_OVERLAP: Final = 192
 """Pixels by which neighbouring tiles overlap, from the reach of its filter."""
 _PER_DENOISED: Final = 560.0  # bytes per pixel of a tile; measured 555 to 580
+_PER_DENOISED_BY_DAYLIGHT: Final = 725.0  # of the larger filter of frames by daylight alone; measured
 _DENOISER_IMAGES: Final = 12.0  # bytes per pixel of the denoiser's result
 
 _ADDRESS_SPACE: Final = 900e6
@@ -102,7 +103,8 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
         bounces = quality.bounces + (quality.most_bounces > 0)
         total += _TEXTURES + _device_memory(camera, quality) + _PER_BOUNCE * (bounces - 1)
         if quality.denoise:
-            total += _denoiser_memory(camera.width, camera.height)
+            per_denoised = _PER_DENOISED if camera.flash is not None else _PER_DENOISED_BY_DAYLIGHT
+            total += _denoiser_memory(camera.width, camera.height, per_denoised)
         # Half of the arrays have one entry for each channel of the sensor.
         share = (3 + camera.sensor.channels) / 6
         sites = _PER_SITE * np.prod(camera.sensor.site_shape) / pixels
@@ -165,8 +167,11 @@ def _rounded(count: int) -> float:
     return float(2 ** int(np.ceil(np.log2(max(count, 1)))))
 
 
-def _denoiser_memory(width: int, height: int) -> float:
-    """Bytes that Open Image Denoise keeps: it halves the longer side of its tiles until they are small."""
+def _denoiser_memory(width: int, height: int, per_denoised: float) -> float:
+    """Bytes that Open Image Denoise keeps, with so many for each pixel of a tile.
+
+    It halves the longer side of its tiles until they are small.
+    """
     tiles = [1, 1]
     tile = [width, height]
     while tile[0] * tile[1] > _DENOISER_TILE:
@@ -174,7 +179,7 @@ def _denoiser_memory(width: int, height: int) -> float:
         tiles[longer] += 1
         length = (width, height)[longer]
         tile[longer] = -(-(length - _DENOISER_OVERLAP) // tiles[longer]) + _DENOISER_OVERLAP
-    return _PER_DENOISED * tile[0] * tile[1] + _DENOISER_IMAGES * width * height
+    return per_denoised * tile[0] * tile[1] + _DENOISER_IMAGES * width * height
 
 
 def _image_size(name: str, camera: Camera) -> float:
