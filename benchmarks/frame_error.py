@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pepperscene as ps
+from pepperscene.bench.image_errors import develop_codes
 from pepperscene.bench.records import describe_machine, machine_info, peak_memory_mib
-from pepperscene.bench.reference import develop_codes
 from pepperscene.frame import DEFAULT_OUTPUTS
 from pepperscene.render import QUALITIES
 

@@ -26,10 +26,10 @@ from cycles_process import CyclesRun, render_cycles
 from cycles_scene import undistorted
 from cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
 
+from pepperscene.bench.image_errors import Errors, Reference, check_packages, measure_errors
 from pepperscene.bench.measure import BenchResult
 from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.records import FORMAT, describe_machine, machine_info, result_json, write_results
-from pepperscene.bench.reference import Errors, Reference, check_packages, measure_errors
 from pepperscene.bench.report import (
     format_error,
     markdown_table,

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pepperscene.bench import reference
-from pepperscene.bench.reference import (
+from pepperscene.bench import image_errors, reference
+from pepperscene.bench.image_errors import (
     Errors,
     Reference,
     SquaredError,
@@ -16,9 +16,9 @@ from pepperscene.bench.reference import (
     develop_codes,
     mean_flip,
     measure_errors,
-    render_reference,
     rms,
 )
+from pepperscene.bench.reference import render_reference
 from pepperscene.bench.scenes import resize_camera
 from pepperscene.camera import develop
 from pepperscene.errors import SetupError
@@ -30,7 +30,7 @@ SEEDS = 200
 @pytest.fixture
 def without_flip(monkeypatch):
     """FLIP takes most of the time of errors."""
-    monkeypatch.setattr(reference, "mean_flip", lambda *_: 0.0)
+    monkeypatch.setattr(image_errors, "mean_flip", lambda *_: 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +218,7 @@ def test_flip_orders_errors(camera):
 
 
 def test_missing_packages_are_named(monkeypatch):
-    monkeypatch.setattr(reference, "find_spec", lambda name: None)
+    monkeypatch.setattr(image_errors, "find_spec", lambda name: None)
     with pytest.raises(
         SetupError, match=r"flip-evaluator and matplotlib.*pip install 'pepperscene\[bench\]'"
     ):

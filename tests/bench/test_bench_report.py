@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pepperscene.bench.image_errors import Errors, SquaredError
 from pepperscene.bench.measure import BenchResult
 from pepperscene.bench.plot import Panel, plot_pareto
-from pepperscene.bench.reference import Errors, SquaredError
 from pepperscene.bench.report import (
     RelativeTime,
     format_error,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pepperscene.bench import run_benchmark
-from pepperscene.bench.reference import develop_codes, rms
+from pepperscene.bench.image_errors import develop_codes, rms
 from pepperscene.bench.scenes import SCENES, resize_camera
 from pepperscene.errors import InputError
 

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pepperscene.bench.image_errors import Reference
 from pepperscene.bench.measure import measure_settings
-from pepperscene.bench.reference import Reference
 from pepperscene.bench.settings import ADAPTIVE, NAMED, PLAIN, Setting, settings
 from pepperscene.render import QUALITIES
 

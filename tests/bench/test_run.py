@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import NoisyRenderer
+from noisy_renderer import NoisyRenderer
 from PIL import Image
 from typer.testing import CliRunner
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -173,3 +174,16 @@ def copied(tmp_path):
         return open_dataset(tmp_path / "set")
 
     return copy
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The processes that are started."""
+    processes, popen = [], subprocess.Popen
+
+    def start(*args, **options):
+        processes.append(popen(*args, **options))
+        return processes[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    return processes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import threading
 
@@ -110,19 +109,6 @@ def factory(february):
 @pytest.fixture(scope="module")
 def expected(factory):
     return make_plants(factory, 0, COUNT, 1)
-
-
-@pytest.fixture
-def started(monkeypatch):
-    """The processes that were started."""
-    processes, popen = [], subprocess.Popen
-
-    def start(*args, **options):
-        processes.append(popen(*args, **options))
-        return processes[-1]
-
-    monkeypatch.setattr(subprocess, "Popen", start)
-    return processes
 
 
 def assert_equal(plants, expected):

@@ -32,10 +32,10 @@ def notes_of(*frames):
 
 def test_missed_targets_are_one_note():
     assert notes_of((0.15, 1.2, 8.0), (0.15, 0.15 * TARGET_TOLERANCE * 8.0, 8.0)) == []
-    (note,) = notes_of((0.15, 1.2, 8.0), (0.15, 4.0, 8.0), (0.15, 2.4, 8.0), (0.15, 2.0, 4.0))
+    (note,) = notes_of((0.15, 1.2, 8.0), (0.15, 4.0, 8.0), (0.15, 2.4, 8.0), (0.15, 2.4, 4.0))
     assert note == (
-        "in 3 of 4 frames the rendering error is above its target of 0.15 of the sensor noise: 0.5 of it "
-        "(median), at most 4.0 codes of 255; a smaller --target-error takes more samples"
+        "in 3 of 4 frames the rendering error is above its target of 0.15 times the sensor noise: 0.5 "
+        "times (median), at most 4.0 codes of 255; a smaller --target-error takes more samples"
     )
 
 

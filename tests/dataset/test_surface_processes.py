@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
 import sys
 
 import numpy as np
@@ -26,19 +25,6 @@ def kaite():
 @pytest.fixture(scope="module")
 def expected(kaite):
     return make_surfaces(kaite, *RANGE_NM)
-
-
-@pytest.fixture
-def started(monkeypatch):
-    """The processes that are started."""
-    processes, popen = [], subprocess.Popen
-
-    def start(*args, **kwargs):
-        processes.append(popen(*args, **kwargs))
-        return processes[-1]
-
-    monkeypatch.setattr(subprocess, "Popen", start)
-    return processes
 
 
 def assert_equal(made, expected):

@@ -18,7 +18,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from pepperscene.bench.reference import Errors, OnProgress, Reference, measure_errors, render_reference
+from pepperscene.bench.image_errors import Errors, Reference, measure_errors
+from pepperscene.bench.reference import OnProgress, render_reference
 from pepperscene.bench.scenes import SCENES, BenchSubject, load_subject
 from pepperscene.bench.settings import ADAPTIVE, NAMED, Setting, settings
 from pepperscene.errors import SetupError

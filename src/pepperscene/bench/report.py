@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from pepperscene.bench.image_errors import SquaredError
 from pepperscene.bench.measure import BenchResult
-from pepperscene.bench.reference import SquaredError
 from pepperscene.bench.settings import NAMED, OUR_FAMILIES, PLAIN
 
 Point = tuple[float, float]

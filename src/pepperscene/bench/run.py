@@ -10,6 +10,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
+from pepperscene.bench.image_errors import Reference, check_packages
 from pepperscene.bench.measure import BenchResult, measure_settings, measure_variant, other_variants
 from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.records import (
@@ -19,14 +20,7 @@ from pepperscene.bench.records import (
     results_csv,
     write_results,
 )
-from pepperscene.bench.reference import (
-    SMALLEST_ERROR,
-    TARGET_FRACTION,
-    OnProgress,
-    Reference,
-    check_packages,
-    render_reference,
-)
+from pepperscene.bench.reference import SMALLEST_ERROR, TARGET_FRACTION, OnProgress, render_reference
 from pepperscene.bench.report import (
     CODES_OF_INTEREST,
     TimeRatio,
@@ -45,7 +39,7 @@ DEFAULT_RUNS: Final = 5
 """Rounds of a full benchmark. Chosen: a median of fewer is unreliable."""
 
 DEFAULT_BUDGET_S: Final = 900.0
-"""Approximate time limit of a benchmark, if none is given."""
+"""Approximate time limit of a benchmark, if none is given. Chosen: standard errors are some per cent then."""
 
 REFERENCES: Final = "references"
 """Folder of the cached converged images, inside the output folder."""

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Annotated, Final, NoReturn, ParamSpec, TypeVar
 
 import typer
@@ -160,6 +161,7 @@ LabelsOption = Annotated[
 HalfOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Half of the published data set: synthetic or empirical.")
 ]
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the complete result as JSON.")]
 
 

@@ -64,11 +64,11 @@ def build(
     from pepperscene.dataset import BuildOptions, BuildProgress, parse_changes, resolve_recipe
     from pepperscene.dataset import build as build_dataset
 
-    resolved = resolve_recipe(recipe, parse_changes(set or ()))
     if dry_run:
         options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
         describe_build(select_frames(recipe, set, frames), names, options, json=json)
         return
+    resolved = resolve_recipe(recipe, parse_changes(set or ()))
     try:
         with progress_reporter(json) as reporter:
 
@@ -91,6 +91,8 @@ def build(
     except KeyboardInterrupt as error:
         error.add_note("to resume the build, run the same command again")
         raise
+    for note in result.notes:
+        reporter.notice(note)
     reporter.end(result, out)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from pepperscene.cli.application import (
+    FolderArgument,
     HalfOption,
     JsonOption,
     LabelsOption,
@@ -20,7 +21,7 @@ from pepperscene.cli.application import (
     print_ruled_table,
 )
 from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
-from pepperscene.errors import InputError, OutputError, SetupError
+from pepperscene.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from pepperscene.dataset.check import CheckResult
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 EXIT_FAULTS: Final = 1
 _SET_HELP: Final = "Folder of images, or file of patches or measured reflectances."
 _HEADINGS: Final = ("kind", "frame", "file", "problem")
-
-FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")]
 
 
 @app.command()
@@ -198,39 +197,6 @@ def report(
         f"{written.shown} of {written.frames} frames shown, {written.measured} measured:\n"
         f"  {written.sheet}\n  {written.page}"
     )
-
-
-@app.command()
-@handle_errors
-def view(
-    folder: FolderArgument,
-    frames: Annotated[
-        str | None,
-        typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: all. Rerun only."),
-    ] = None,
-    program: Annotated[
-        str | None,
-        typer.Option(metavar="rerun|browser", help="Default: rerun where it is installed, else browser."),
-    ] = None,
-) -> None:
-    """Look at a data set in Rerun's viewer, or at its report in a browser."""
-    from pepperscene.dataset.viewer import PROGRAMS, choose_program, view_in_browser, view_in_rerun
-
-    if program not in (None, *PROGRAMS):
-        raise InputError("--program", f"must be {' or '.join(PROGRAMS)}, not {program!r}")
-    chosen = choose_program(program)
-    if chosen == "browser":
-        if frames is not None:
-            raise InputError("--frames", "applies only to rerun")
-        page, opened = view_in_browser(folder)
-        typer.echo(page)
-        if not opened:
-            echo_progress("note: no browser was found; open the page in one")
-        return
-    with export_progress() as on_frame:
-        code = view_in_rerun(folder, frames, on_frame)
-    if code:
-        raise SetupError(f"Rerun's viewer ended with exit code {code}; try --program browser")
 
 
 @app.command()

@@ -75,8 +75,6 @@ class ProgressReporter(ABC):
         made, kept = len(result.made), len(result.kept)
         skipped = f", {kept} already there" if kept else ""
         typer.echo(f"{made} frame{'' if made == 1 else 's'} built{skipped}: {out}")
-        for note in result.notes:
-            self.notice(note)
 
 
 @contextmanager
@@ -120,9 +118,7 @@ class JsonReporter(ProgressReporter):
         self._print(event="notice", text=text)
 
     def end(self, result: BuildResult, out: Path) -> None:
-        """Print the notes, and the event `end`."""
-        for note in result.notes:
-            self.notice(note)
+        """Print the event `end`."""
         self._print(event="end", made=len(result.made), kept=len(result.kept), folder=str(out))
 
     @staticmethod

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from pepperscene.cultivar import OrganForm
 
-_HEIGHT_PX: Final = 480
-_MARGIN_M: Final = 0.1
+_HEIGHT_PX: Final = 480  # chosen: a plant of four metres is then legible in a notebook
+_MARGIN_M: Final = 0.1  # chosen: half of a large leaf
+_BLADE: Final = 0.4  # chosen: drawn part of a blade's width, because most blades are seen at an angle
 _STROKES: Final[dict[OrganForm, tuple[str, float]]] = {
     "internode": ("#6b8e4e", 8.0),
     "node": ("#6b8e4e", 10.0),
@@ -25,7 +26,7 @@ _STROKES: Final[dict[OrganForm, tuple[str, float]]] = {
 """Chosen: colour and width in millimetres of the strokes of each form; 0 for the organ's own width."""
 
 
-_RIPE: Final = 0.5
+_RIPE: Final = 0.5  # chosen: ripeness from which fruit is drawn in its ripe colour
 _UNRIPE: Final = "#33691e"
 
 
@@ -51,8 +52,7 @@ def _organ_line(
 ) -> str:
     colour, width_mm = _STROKES.get(form, ("#888888", 4.0))
     if width_mm == 0.0:
-        # A part of a blade's width, because most blades are seen at an angle.
-        width_mm = 1e3 * measures.get("diameter_m", 0.4 * measures.get("width_m", 0.01))
+        width_mm = 1e3 * measures.get("diameter_m", _BLADE * measures.get("width_m", 0.01))
     if measures.get("ripeness", 1.0) < _RIPE:
         colour = _UNRIPE
     x, y = 1e3 * (curve[:, 0] - left), 1e3 * (top - curve[:, 2])

@@ -23,6 +23,7 @@ from pepperscene.dataset.store.images import png_bytes
 TIMELINE: Final = "frame"
 RECORDING: Final = "recording.rrd"
 _IMAGE: Final = "world/camera/image"
+_PLANE_M: Final = 0.1  # chosen: distance from the camera at which the viewer shows its image
 
 
 def write_rerun(job: ExportJob, folder: Path) -> None:
@@ -68,7 +69,7 @@ def _log_frame(rerun: Any, recording: Any, frame: ExportFrame, selection: Select
             image_from_camera=matrix,
             resolution=[camera.width, camera.height],
             camera_xyz=rerun.ViewCoordinates.RDF,
-            image_plane_distance=0.1,
+            image_plane_distance=_PLANE_M,
         ),
     )
     pinhole = PinholeImages(camera)

@@ -11,6 +11,7 @@ from pepperscene.dataset.report.charts import value_chart
 from pepperscene.dataset.report.data import FrameRecords, SetSummary
 from pepperscene.dataset.report.markup import Html, element, fragment, joined
 from pepperscene.dataset.report.sections import panel, plural, set_label
+from pepperscene.durations import format_duration
 
 _BUILD_CHARTS: Final = (
     ("render_s", "Render time of a frame", "seconds", 1.0),
@@ -63,7 +64,7 @@ def _totals(records: FrameRecords) -> str:
     if records.known("render_s").any():
         seconds = float(np.nansum(records.numbers["render_s"]))
         by = f" by {plural(len(records.workers), 'worker')}" if records.workers else ""
-        parts.append(f"{_format_duration(seconds)} of rendering{by}")
+        parts.append(f"{format_duration(seconds)} of rendering{by}")
     if records.known("error_codes").any() and records.known("noise_codes").any():
         ratio = np.nanmedian(records.numbers["error_codes"] / records.numbers["noise_codes"])
         parts.append(f"the light's error is {100 * ratio:.0f} % of the sensor's noise (median)")
@@ -73,9 +74,3 @@ def _totals(records: FrameRecords) -> str:
 def _format_size(count: float) -> str:
     unit, size = next((pair for pair in (("GB", 1e9), ("MB", 1e6)) if count >= pair[1]), ("kB", 1e3))
     return f"{count / size:.3g} {unit}"
-
-
-def _format_duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.3g} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

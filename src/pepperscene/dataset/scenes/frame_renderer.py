@@ -178,7 +178,9 @@ class FrameRenderer:
             pending = pool.submit(optics) if beside else None
             built = builder.scene(spec.set, spec.rotation)
             mesh = self._cull(built.mesh, others) if self.culled else built.mesh
-        surfaces, sky = pending.result() if pending else optics() if traced else (None, None)
+        surfaces, sky = None, None
+        if traced:
+            surfaces, sky = optics() if pending is None else pending.result()
         statistics = {
             "contacts": asdict(built.contacts),
             "geometry": {"triangles": len(mesh.faces), "of": len(built.mesh.faces)},

@@ -37,11 +37,11 @@ class RenderingErrors:
         """Yield at most one note."""
         if not self._missed:
             return
-        ratio, codes = statistics.median(ratio for ratio, _ in self._missed), max(self._missed)[1]
+        ratios, codes = zip(*self._missed, strict=True)
         yield (
             f"in {len(self._missed)} of {self._frames} frames the rendering error is above its target of "
-            f"{self._target:g} of the sensor noise: {ratio:.2g} of it (median), at most {codes:.1f} codes of "
-            "255; a smaller --target-error takes more samples"
+            f"{self._target:g} times the sensor noise: {statistics.median(ratios):.2g} times (median), "
+            f"at most {max(codes):.1f} codes of 255; a smaller --target-error takes more samples"
         )
 
 

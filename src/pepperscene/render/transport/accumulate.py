@@ -113,11 +113,7 @@ class SampleAccumulator:
 
     def indirect_share(self) -> float:
         """Indirect light as part of all light; see `indirect_share`."""
-        indirect, direct = (
-            float((mean * self._per_white).sum(dtype=np.float64))
-            for mean in (self._indirect_mean(), self._direct_mean())
-        )
-        return indirect / (indirect + direct) if indirect > 0.0 else 0.0
+        return indirect_share(self._indirect_mean(), self._direct_mean())
 
     def direct_variance(self) -> Images:
         """`(h, w)` see `SampleVariance.direct`."""
@@ -171,10 +167,15 @@ class SampleAccumulator:
         return np.ascontiguousarray(image if image.ndim == 2 else np.moveaxis(image, 0, -1), np.float32)
 
 
-def indirect_share(indirect: Images, total: Images, white: NDArray[np.float64]) -> float:
-    """Indirect light as part of all light, summed over pixels and channels in units of `white`."""
-    sums = [float((image.sum(axis=(0, 1), dtype=np.float64) / white).sum()) for image in (indirect, total)]
-    return sums[0] / sums[1] if sums[0] > 0.0 else 0.0
+def indirect_share(indirect: Images, direct: Images) -> float:
+    """Indirect light as part of all light of an image, in electrons of all pixels and channels.
+
+    Args:
+        indirect: of any shape.
+        direct: of the same shape.
+    """
+    parts = [float(image.sum(dtype=np.float64)) for image in (indirect, direct)]
+    return parts[0] / (parts[0] + max(parts[1], 0.0)) if parts[0] > 0.0 else 0.0
 
 
 def _variance(squares: Images, means: Images, count: Any) -> Images:

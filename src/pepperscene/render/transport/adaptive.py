@@ -89,7 +89,7 @@ class AdaptiveSampler:
         variance, codes = light.variance, self._code_response(light.total(), light.variance.white)
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
-        factor = self._indirect_factor(indirect_share(light.indirect, light.total(), variance.white))
+        factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
         of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))

@@ -52,7 +52,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.transport.accumulate import TracedLight
+from pepperscene.render.transport.accumulate import TracedLight, indirect_share
 
 Image = NDArray[np.float32]
 
@@ -112,8 +112,7 @@ def _denoised_indirect(light: TracedLight) -> Image:
     # The filter and its albedo expect values about 1.
     traced = np.asarray(light.indirect / level, np.float32)
     albedo = np.clip(of_guides.extend(light.albedo), 0.0, 1.0)
-    direct = float(light.flash.mean(dtype=np.float64) + light.sky_and_sun.mean(dtype=np.float64))
-    share = level / (level + max(direct, 0.0))
+    share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
     filtered = _apply_filter(
         of_light.extend(traced), albedo, of_guides.extend(light.normal), clean_guides=share > _CLEAN_FROM
     )
