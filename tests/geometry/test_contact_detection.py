@@ -8,11 +8,12 @@ from contact_meshes import RADIUS, grown, resolved, scene, shifted
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import concatenate_meshes, count_contacts, rectangle, sphere
+from pepperscene.geometry.contacts.capsules import StemCapsules
 from pepperscene.geometry.contacts.detect import ContactDetector, current_counts
+from pepperscene.geometry.contacts.fruit_surfaces import FruitSurfaces
 from pepperscene.geometry.contacts.joints import rotations
 from pepperscene.geometry.contacts.organs import Organs
 from pepperscene.geometry.contacts.patches import SPACING, fill_triangles
-from pepperscene.geometry.contacts.shapes import FruitSurfaces, StemCapsules
 
 
 def test_depth_in_a_sphere_is_exact() -> None:

@@ -151,7 +151,7 @@ def test_same_seed_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None
     other = resolve_contacts(mesh, np.random.default_rng(4)).mesh
     assert other.vertices.tobytes() != resolved().mesh.vertices.tobytes()
     # Whatever the number of distances computed at a time.
-    monkeypatch.setattr("pepperscene.geometry.contacts.pairs.ENTRIES", 500)
+    monkeypatch.setattr("pepperscene.geometry.contacts.near_patches.ENTRIES", 500)
     again = resolve_contacts(mesh, np.random.default_rng(3)).mesh
     assert again.vertices.tobytes() == resolved().mesh.vertices.tobytes()
 

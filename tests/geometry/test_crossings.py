@@ -24,8 +24,12 @@ def mesh() -> Mesh:
 
 def corners_of(organs: Organs, chosen: np.ndarray, resolution: Resolution) -> dict[int, np.ndarray]:
     """`(f, 3, 3)` coarse triangles of each organ."""
-    parts = zip(chosen.tolist(), *_choose_triangles(organs, chosen, resolution), strict=True)
-    return {organ: organs.mesh.vertices[rows][faces].astype(float) for organ, rows, faces in parts}
+    rows, corners, counts = _choose_triangles(organs, chosen, resolution)
+    vertices, faces = (
+        np.split(part, np.cumsum(count)[:-1]) for part, count in zip((rows, corners.T), counts, strict=True)
+    )
+    parts = zip(chosen.tolist(), vertices, faces, strict=True)
+    return {organ: organs.mesh.vertices[own][part].astype(float) for organ, own, part in parts}
 
 
 def cross(one: np.ndarray, two: np.ndarray, clearance: float) -> bool:

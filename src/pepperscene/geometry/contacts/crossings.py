@@ -1,23 +1,20 @@
 """Crossings: organs whose triangles pass through those of others, for many pairs and motions at once.
 
-Coarse triangles stand for an organ. Their bounding boxes are compared first, then their planes, then edges
-with triangles.
+Coarse triangles stand for an organ.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pepperscene.geometry import compilation
 from pepperscene.geometry.contacts.coarse import ALL, FINE, Resolution, coarse_faces
+from pepperscene.geometry.contacts.crossing_arrays import transform_points
 from pepperscene.geometry.contacts.organs import LEAF, Organs
-from pepperscene.geometry.contacts.patches import expand_counts
+from pepperscene.geometry.contacts.triangles import OrganMotions, OrganPairs, OrganTriangles, Runs
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
-
-_BLOCK: Final = 1 << 18  # pairs of boxes compared at a time, chosen: they fit into a cache
 
 _TYPICAL: Final = 32  # blades, chosen: enough for a median
 
@@ -31,46 +28,34 @@ class CoarseTriangles:
     def __init__(self, organs: Organs, chosen: IndexArray, resolution: Resolution = FINE) -> None:
         self._organs, self._seen = organs, 0
         if resolution is ALL and organs.is_contiguous:
-            rows, position = organs.vertices_of(chosen)
-            face_rows, face_position = organs.faces_of(chosen)
-            counts = (
-                np.bincount(position, minlength=len(chosen)),
-                np.bincount(face_position, minlength=len(chosen)),
-            )
-            starts = np.flatnonzero(np.diff(position, prepend=-1))
-            corners = organs.mesh.faces[face_rows].astype(np.intp) - rows[starts][face_position][:, None]
+            rows, corners, counts = _all_triangles(organs, chosen)
         else:
-            vertices, faces = _choose_triangles(organs, chosen, resolution)
-            empty = np.empty(0, dtype=np.intp)
-            rows = np.concatenate([empty, *vertices])
-            corners = np.concatenate([empty.reshape(0, 3), *faces])
-            counts = (
-                np.array([len(part) for part in vertices], dtype=np.intp),
-                np.array([len(part) for part in faces], dtype=np.intp),
-            )
-        self._vertices, self._faces = (_Runs(len(organs), chosen, count) for count in counts)
-        self._rest = np.ascontiguousarray(organs.mesh.vertices[rows].T)
-        self._points = self._rest.copy()
-        first = np.repeat(self._vertices.first[chosen], self._faces.count[chosen])
-        self._corners = np.ascontiguousarray((corners + first[:, None]).T)
+            rows, corners, counts = _choose_triangles(organs, chosen, resolution)
+        vertex_runs, face_runs = (Runs(len(organs), chosen, count) for count in counts)
+        self._rest = np.ascontiguousarray(organs.mesh.vertices.take(rows, axis=0).T)
+        corners += np.repeat(vertex_runs.first[chosen], face_runs.count[chosen])
+        self._triangles = OrganTriangles(self._rest.copy(), corners, vertex_runs, face_runs)
         self.update()
 
     def update(self) -> None:
         """Follow the organs that have moved since the last call."""
-        moved = np.flatnonzero((self._organs.moved_at > self._seen) & (self._vertices.count > 0))
-        rows, position = self._vertices.of(moved)
-        self._points[:, rows] = _transform(
-            self._rest[:, rows], self._organs.rotation[moved], self._organs.shift[moved], position
-        )
+        vertices = self._triangles.vertices
+        moved = np.flatnonzero((self._organs.moved_at > self._seen) & (vertices.count > 0))
+        rows, position = vertices.of(moved)
+        motions = _motions(moved, self._organs.rotation[moved], self._organs.shift[moved])
+        self._triangles.points[:, rows] = transform_points(self._rest[:, rows], motions, position)
         self._seen = self._organs.moves
 
     def boxes(
         self, organ: IndexArray, rotation: FloatArray, shift: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """`(e, 3)` corners of boxes, larger by the clearance, around organs `(e,)` after motions."""
-        rows, position = self._vertices.of(organ)
-        points = _transform(self._points.take(rows, axis=1), rotation, shift, position)
-        low, high = _bounds((points, points), self._vertices.starts(organ))
+        vertices = self._triangles.vertices
+        rows, position = vertices.of(organ)
+        points = self._triangles.points.take(rows, axis=1)
+        low, high = _bounds(
+            transform_points(points, _motions(organ, rotation, shift), position), vertices.starts(organ)
+        )
         return low - CLEARANCE, high + CLEARANCE
 
     def count(
@@ -98,72 +83,47 @@ class CoarseTriangles:
         Returns:
             `(n,)` numbers of pairs of triangles.
         """
-        result = np.zeros(len(entry), dtype=np.intp)
-        if not len(entry):
-            return result
-        # The triangles of the organs that move.
-        rows, position = self._vertices.of(organ)
-        points = _transform(self._points.take(rows, axis=1), rotation, shift, position)
-        face, position = self._faces.of(organ)
-        offset = self._vertices.starts(organ) - self._vertices.first[organ]
-        corners = self._corners.take(face, axis=1) + offset.take(position)
-        low, high = _boxes(points, corners)
-        boxes = low - np.float32(clearance), high + np.float32(clearance)
-        starts = self._faces.starts(organ)
-        # The triangles of the first organ near the box of the second, those of the second near the box around
-        # these, and of these the triangles near the box around those.
-        pair, number = expand_counts(self._faces.count[organ[entry]])
-        bounds = tuple(side[other].T.astype(np.float32) for side in (self._organs.low, self._organs.high))
-        own, own_pair = _overlapping(boxes, starts[entry][pair] + number, bounds, pair)
-        near, around = _bounds_by_pair(boxes, own, own_pair)
-        if not len(near):
-            return result
-        distinct, place = np.unique(other[near], return_inverse=True)
-        other_face, _ = self._faces.of(distinct)
-        other_corners = self._corners.take(other_face, axis=1)
-        other_boxes = _boxes(self._points, other_corners)
-        pair, number = expand_counts(self._faces.count[other[near]])
-        theirs = self._faces.starts(distinct)[place][pair] + number
-        theirs, pair = _overlapping(other_boxes, theirs, around, pair)
-        left, around = _bounds_by_pair(other_boxes, theirs, pair)
-        their_pair = near[pair]
-        row_of_pair = np.full(len(entry), -1)
-        row_of_pair[near[left]] = np.arange(len(left))
-        kept = row_of_pair[own_pair] >= 0
-        own, row = _overlapping(boxes, own[kept], around, row_of_pair[own_pair[kept]])
-        own_pair = near[left][row]
-        # Pairs of these.
-        start, stop = (np.searchsorted(their_pair, own_pair, side) for side in ("left", "right"))
-        their_boxes = other_boxes[0].take(theirs, axis=1), other_boxes[1].take(theirs, axis=1)
-        total, done = np.cumsum(stop - start), 0
-        while done < len(own):
-            before = total[done - 1] if done else 0
-            end = max(int(np.searchsorted(total, before + _BLOCK, side="right")), done + 1)
-            block = own[done:end]
-            row, column = _overlapping_runs(
-                (boxes[0].take(block, axis=1), boxes[1].take(block, axis=1)),
-                their_boxes,
-                start[done:end],
-                (stop - start)[done:end],
-            )
-            pair = own_pair[done:end].take(row)
-            if by_boxes:
-                result += np.bincount(pair, minlength=len(result))
-                done = end
-                continue
-            a, b = block.take(row), theirs.take(column)
-            one, a = _used_planes(points, corners, a)
-            two, b = _used_planes(self._points, other_corners, b)
-            crossing = crossing_triangles(one, a, two, b, clearance)
-            result += np.bincount(pair[crossing], minlength=len(result))
-            done = end
-        return result
+        motions = _motions(organ, rotation, shift)
+        low, high = self._organs.low[other].astype(np.float32), self._organs.high[other].astype(np.float32)
+        pairs = OrganPairs(entry, other, low, high)
+        if compilation.AVAILABLE:
+            from pepperscene.geometry.contacts.crossing_kernel import count_crossings
+        else:
+            from pepperscene.geometry.contacts.crossing_arrays import count_crossings
+        return count_crossings(self._triangles, motions, pairs, np.float32(clearance), by_boxes=by_boxes)
 
 
-def _choose_triangles(
-    organs: Organs, chosen: IndexArray, resolution: Resolution
-) -> tuple[list[IndexArray], list[IndexArray]]:
-    """Vertices of each organ in the mesh, and the corners of its coarse triangles among these."""
+def _motions(organ: IndexArray, rotation: FloatArray, shift: FloatArray) -> OrganMotions:
+    """Motions in single precision."""
+    return OrganMotions(organ, rotation.astype(np.float32), shift.astype(np.float32))
+
+
+def _bounds(points: SingleArray, starts: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """`(e, 3)` corners of the boxes around runs of points."""
+    low = [np.minimum.reduceat(axis, starts) for axis in points]
+    high = [np.maximum.reduceat(axis, starts) for axis in points]
+    return np.stack(low, axis=1).astype(np.float64), np.stack(high, axis=1).astype(np.float64)
+
+
+_Chosen = tuple[IndexArray, IndexArray, tuple[IndexArray, IndexArray]]
+"""Vertices in the mesh, organ after organ; `(3, f)` corners of triangles, counted from each organ's first vertex;
+and the number of vertices and triangles of each organ."""
+
+
+def _all_triangles(organs: Organs, chosen: IndexArray) -> _Chosen:
+    """All triangles of organs whose vertices are contiguous."""
+    rows, position = organs.vertices_of(chosen)
+    face_rows, face_position = organs.faces_of(chosen)
+    first = rows[np.flatnonzero(np.diff(position, prepend=-1))]
+    corners = np.empty((3, len(face_rows)), dtype=np.intp)
+    corners[:] = organs.mesh.faces.take(face_rows, axis=0).T
+    corners -= first.take(face_position)
+    counts = (np.bincount(items, minlength=len(chosen)) for items in (position, face_position))
+    return rows, corners, (next(counts), next(counts))
+
+
+def _choose_triangles(organs: Organs, chosen: IndexArray, resolution: Resolution) -> _Chosen:
+    """Coarse triangles on some of the vertices of organs."""
     groups: dict[tuple[int, int], list[int]] = {}
     keys = [(int(organs.organ_class[organ]), len(organs.faces(organ))) for organ in chosen.tolist()]
     for organ, key in zip(chosen.tolist(), keys, strict=True):
@@ -185,8 +145,13 @@ def _choose_triangles(
         else:
             used, corners = np.unique(own.astype(np.intp), return_inverse=True)
         vertices.append(used)
-        faces.append(corners.reshape(-1, 3))
-    return vertices, faces
+        faces.append(corners.reshape(-1, 3).T)
+    counts = ([len(part) for part in vertices], [part.shape[1] for part in faces])
+    return (
+        np.concatenate([np.empty(0, dtype=np.intp), *vertices]),
+        np.concatenate([np.empty((3, 0), dtype=np.intp), *faces], axis=1),
+        (np.array(counts[0], dtype=np.intp), np.array(counts[1], dtype=np.intp)),
+    )
 
 
 def _typical_uv(organs: Organs, group: list[int]) -> SingleArray:
@@ -195,206 +160,3 @@ def _typical_uv(organs: Organs, group: list[int]) -> SingleArray:
         return organs.vertex_uv(group[0])
     some = group[:: -(-len(group) // _TYPICAL)]
     return np.asarray(np.median([organs.vertex_uv(organ) for organ in some], axis=0), dtype=np.float32)
-
-
-class _Runs:
-    """Items of organs, one organ after another."""
-
-    def __init__(self, organs: int, chosen: IndexArray, count: IndexArray) -> None:
-        self.first, self.count = np.zeros((2, organs), dtype=np.intp)
-        self.first[chosen], self.count[chosen] = np.cumsum(count) - count, count
-
-    def of(self, organs: IndexArray) -> tuple[IndexArray, IndexArray]:
-        """Items of some organs, and the position of the organ of each."""
-        position, number = expand_counts(self.count[organs])
-        return self.first[organs].take(position) + number, position
-
-    def starts(self, organs: IndexArray) -> IndexArray:
-        """Where the items of each organ start in the items of these organs."""
-        return np.asarray(np.cumsum(self.count[organs]) - self.count[organs])
-
-
-Boxes = tuple[SingleArray, SingleArray]
-"""Lower and upper corners of boxes, `(3, n)` metres each."""
-
-
-def _transform(
-    points: SingleArray, rotation: FloatArray, shift: FloatArray, position: IndexArray
-) -> SingleArray:
-    """`(3, v)` points moved by the transform at the position of each."""
-    result = np.empty(points.shape, dtype=np.float32)
-    matrix, offset = rotation.astype(np.float32), shift.astype(np.float32)
-    for axis in range(3):
-        column = offset[:, axis].take(position)
-        for other in range(3):
-            column += matrix[:, axis, other].take(position) * points[other]
-        result[axis] = column
-    return result
-
-
-def _boxes(points: SingleArray, corners: IndexArray) -> Boxes:
-    """The boxes of triangles."""
-    a, b, c = (points.take(corner, axis=1) for corner in corners)
-    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-
-
-def _bounds(boxes: Boxes, starts: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """`(e, 3)` corners of the boxes around runs of boxes."""
-    low = [np.minimum.reduceat(axis, starts) for axis in boxes[0]]
-    high = [np.maximum.reduceat(axis, starts) for axis in boxes[1]]
-    return np.stack(low, axis=1).astype(np.float64), np.stack(high, axis=1).astype(np.float64)
-
-
-def _overlapping(
-    boxes: Boxes, rows: IndexArray, others: tuple[SingleArray, ...], columns: IndexArray
-) -> tuple[IndexArray, IndexArray]:
-    """The rows and columns of two tables of boxes that overlap."""
-    for axis in range(3):
-        overlap = boxes[0][axis].take(rows) <= others[1][axis].take(columns)
-        overlap &= boxes[1][axis].take(rows) >= others[0][axis].take(columns)
-        kept = np.flatnonzero(overlap)
-        rows, columns = rows.take(kept), columns.take(kept)
-    return rows, columns
-
-
-def _bounds_by_pair(boxes: Boxes, rows: IndexArray, pair: IndexArray) -> tuple[IndexArray, Boxes]:
-    """The pairs that have rows of a table of boxes, and the boxes around all rows of each."""
-    first = np.flatnonzero(np.diff(pair, prepend=-1))
-    if not len(first):
-        return first, (np.empty((3, 0), dtype=np.float32), np.empty((3, 0), dtype=np.float32))
-    low = np.stack([np.minimum.reduceat(axis.take(rows), first) for axis in boxes[0]])
-    high = np.stack([np.maximum.reduceat(axis.take(rows), first) for axis in boxes[1]])
-    return pair[first], (low, high)
-
-
-def _overlapping_runs(
-    boxes: Boxes, others: Boxes, start: IndexArray, count: IndexArray
-) -> tuple[IndexArray, IndexArray]:
-    """Indices of boxes and of others that overlap, of a run of others for each box."""
-    row = np.repeat(np.arange(len(count)), count)
-    column = np.arange(len(row)) + np.repeat(start - np.cumsum(count) + count, count)
-    for axis in range(3):
-        # Repeating is faster than taking, where nothing has been left out yet.
-        low, high = (np.repeat(side[axis], count) if axis == 0 else side[axis].take(row) for side in boxes)
-        overlap = low <= others[1][axis].take(column)
-        overlap &= high >= others[0][axis].take(column)
-        kept = np.flatnonzero(overlap)
-        row, column = row.take(kept), column.take(kept)
-    return row, column
-
-
-@dataclass(frozen=True, eq=False)
-class TrianglePlanes:
-    """Triangles and their planes; a product with the normal is a height above the plane times its length."""
-
-    corners: SingleArray  # `(3, 3, f)` metres: axis, corner, triangle
-    normal: SingleArray  # `(3, f)` square metres
-    square: SingleArray  # `(f,)` of the normal
-    coordinates: SingleArray  # `(2, 3, f)`: products with these are coordinates of a point on the triangle
-
-    @classmethod
-    def of(cls, corners: SingleArray) -> TrianglePlanes:
-        """The planes of triangles `(3, 3, f)`."""
-        u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        normal = _cross_product(u, v)
-        square = np.asarray(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
-        nonzero = np.maximum(square, np.float32(1e-30))
-        coordinates = np.stack([_cross_product(v, normal), _cross_product(normal, u)]) / nonzero
-        return cls(corners, normal, square, coordinates)
-
-    def heights(self, rows: IndexArray, others: TrianglePlanes, columns: IndexArray) -> SingleArray:
-        """`(3, n)` products of the normals with the corners of others."""
-        x, y, z = self._offsets(rows, others, columns)
-        a, b, c = self.normal.take(rows, axis=1)
-        return np.asarray(a * x + b * y + c * z)
-
-    def places(self, rows: IndexArray, others: TrianglePlanes, columns: IndexArray) -> SingleArray:
-        """`(2, 3, n)` coordinates of the corners of others, along two edges from the first corner."""
-        x, y, z = self._offsets(rows, others, columns)
-        a, b, c = self.coordinates.take(rows, axis=2).swapaxes(0, 1)[:, :, None]
-        return np.asarray(a * x + b * y + c * z)
-
-    def _offsets(self, rows: IndexArray, others: TrianglePlanes, columns: IndexArray) -> SingleArray:
-        """`(3, 3, n)` corners of others relative to the first corners."""
-        return np.asarray(others.corners.take(columns, axis=2) - self.corners[:, :1].take(rows, axis=2))
-
-
-def _used_planes(
-    points: SingleArray, corners: IndexArray, rows: IndexArray
-) -> tuple[TrianglePlanes, IndexArray]:
-    """The planes of those triangles that occur in `rows`, and the rows among these."""
-    used = np.zeros(corners.shape[1], dtype=bool)
-    used[rows] = True
-    chosen = np.flatnonzero(used)
-    place = np.empty(len(used), dtype=np.intp)
-    place[chosen] = np.arange(len(chosen))
-    return TrianglePlanes.of(points.take(corners[:, chosen], axis=1)), place.take(rows)
-
-
-def crossing_triangles(
-    one: TrianglePlanes,
-    rows: IndexArray,
-    two: TrianglePlanes,
-    columns: IndexArray,
-    clearance: float = CLEARANCE,
-) -> IndexArray:
-    """Indices of pairs of triangles that cross, or do so after a move by the clearance along a normal.
-
-    Args:
-        one: triangles, and
-        rows: `(n,)` that of each pair.
-        two: other triangles, and
-        columns: `(n,)` that of each pair.
-        clearance: metres.
-    """
-    near = np.float32(clearance)
-    # Both triangles must have corners on both sides of the plane of the other, or close to it.
-    above_two = two.heights(columns, one, rows)
-    kept = _straddling(above_two, near * np.sqrt(two.square).take(columns))
-    above_two, rows, columns = above_two.take(kept, axis=1), rows.take(kept), columns.take(kept)
-    above_one = one.heights(rows, two, columns)
-    both = _straddling(above_one, near * np.sqrt(one.square).take(rows))
-    kept, rows, columns = kept.take(both), rows.take(both), columns.take(both)
-    hit = _edge_hits(two, columns, one, rows, above_two.take(both, axis=1), near)
-    hit |= _edge_hits(one, rows, two, columns, above_one.take(both, axis=1), near)
-    return np.asarray(kept[hit])
-
-
-def _straddling(heights: SingleArray, reach: SingleArray) -> IndexArray:
-    """Indices of triangles with corners on both sides of a plane, or closer to it than the reach."""
-    straddles = heights.min(axis=0) < reach
-    straddles &= heights.max(axis=0) > -reach
-    return np.flatnonzero(straddles)
-
-
-def _edge_hits(
-    planes: TrianglePlanes,
-    rows: IndexArray,
-    others: TrianglePlanes,
-    columns: IndexArray,
-    heights: SingleArray,
-    clearance: np.float32,
-) -> NDArray[np.bool_]:
-    """Whether an edge of the other triangle passes through the first, there or moved along its normal.
-
-    `heights` are those of the other's corners, `(3, n)`.
-    """
-    reach = clearance * np.sqrt(np.maximum(planes.square, np.float32(1e-30))).take(rows)
-    # Heights of the corners above the triangle moved by less, not at all and by more; each edge runs to the
-    # next corner.
-    level = heights[:, None] - np.stack([-reach, np.zeros_like(reach), reach])
-    after = (1, 2, 0)
-    rise = heights - heights[after, :]
-    edge, step, pair = np.nonzero((level * level[after, :] <= 0.0) & (rise != 0.0)[:, None])
-    s, t = planes.places(rows, others, columns).reshape(2, -1)
-    start, end = edge * len(rows) + pair, np.array(after).take(edge) * len(rows) + pair
-    fraction = level[edge, step, pair] / rise.ravel().take(start)
-    s0, t0 = s.take(start), t.take(start)
-    s, t = s0 + fraction * (s.take(end) - s0), t0 + fraction * (t.take(end) - t0)
-    hit = np.zeros(len(rows), dtype=bool)
-    hit[pair[(s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)]] = True
-    return hit
-
-
-def _cross_product(a: SingleArray, b: SingleArray) -> SingleArray:
-    return np.stack([a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)])

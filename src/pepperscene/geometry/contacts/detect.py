@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.geometry.contacts.capsules import StemCapsules
+from pepperscene.geometry.contacts.fruit_surfaces import FruitSurfaces
 from pepperscene.geometry.contacts.organs import FRUIT, LEAF, STALK, STEM, WIRE, Organs, boxes_overlap
-from pepperscene.geometry.contacts.shapes import FruitSurfaces, StemCapsules
 from pepperscene.geometry.mesh import IndexArray, Mesh, SingleArray
 
 NEAR: Final = 3e-3
@@ -144,7 +145,8 @@ class ContactDetector:
         # Organs outside the bounding sphere of the fruit need no sample points.
         distinct, position = np.unique(fruit, return_inverse=True)
         spheres = self.surfaces.spheres(distinct)
-        centre, limit = spheres.centre[position], spheres.radius[position] + NEAR
+        reach = spheres.radius + NEAR
+        centre, limit = spheres.centre[position], reach[position]
         offset = centre - np.clip(centre, self.organs.low[others], self.organs.high[others])
         pair = np.flatnonzero(np.einsum("ni,ni->n", offset, offset) < limit**2)
         patches, patch, entry = self.organs.patches(others[pair])
@@ -155,13 +157,9 @@ class ContactDetector:
         pair, patch = pair[kept], patch[kept]
         inverse = spheres.rotation.transpose(0, 2, 1)
         shift = -np.einsum("fij,fj->fi", inverse, spheres.centre)
-        body = position[pair]
-        depth = self.surfaces.depth(
-            spheres.row[body],
-            patches.coordinates(patch),
-            inverse.transpose(1, 2, 0).astype(np.float32)[:, :, body],
-            shift.T.astype(np.float32)[:, body],
-            limit[pair].astype(np.float32),
+        motion = inverse.astype(np.float32), shift.astype(np.float32)
+        depth = self.surfaces.patch_depths(
+            spheres.row, *motion, reach.astype(np.float32), position[pair], patches, patch
         )
         np.maximum.at(result, pair, depth)
         return result
@@ -179,7 +177,7 @@ class ContactDetector:
         capsule, pair = capsule[entry], pair[entry]
         near = capsules.depth(patches.centre[patch].T[:, None], capsule) + patches.radius[patch] > -NEAR
         hit = np.flatnonzero(near)
-        depth = capsules.depth(patches.coordinates(patch[hit]), capsule[hit])
+        depth = capsules.patch_depths(patches, patch[hit], capsule[hit])
         np.maximum.at(result, pair[hit], depth)
         return result
 

@@ -5,21 +5,17 @@ First bounding boxes are compared, then bounding spheres of patches, then points
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from pepperscene.geometry.contacts.capsules import Capsules
 from pepperscene.geometry.contacts.detect import NEAR, ContactDetector
 from pepperscene.geometry.contacts.joints import RigidTransforms
-from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Organs, boxes_overlap
-from pepperscene.geometry.contacts.patches import expand_counts
-from pepperscene.geometry.contacts.shapes import Capsules
+from pepperscene.geometry.contacts.near_patches import near_patches
+from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, boxes_overlap
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
-
-ENTRIES: Final = 1 << 16
-"""Distances computed at a time, chosen: they fit into a cache."""
 
 CLEARANCE: Final = 0.8e-3
 """Metres between a moved organ and others, chosen: more than is missed between points, and invisible."""
@@ -56,17 +52,20 @@ class FruitPairs:
         spheres, organs = self._spheres, self._detector.organs
         centre, limit = spheres.centre[rows], spheres.radius[rows] + NEAR
         inverse, movers = spheres.rotation.transpose(0, 2, 1)[rows], self._movers[rows]
-        for pair, step, hit, patch in _near_patches(organs, movers, centre, limit, transform, transforms):
+        for pair, step, hit, patch in near_patches(organs, movers, centre, limit, transform, transforms):
             # Relative to the fruit's centre numbers are small, as single precision requires.
             to_fruit, row = inverse[pair], transform[pair]
             matrix = np.matmul(to_fruit, transforms.rotation[row, step])
             offset = np.matmul(to_fruit, (transforms.shift[row, step] - centre[pair])[:, :, None])[:, :, 0]
-            depth = self._detector.surfaces.depth(
-                spheres.row[rows[pair]][hit],
-                organs.all_patches.coordinates(patch, stride),
-                matrix.transpose(1, 2, 0).astype(np.float32, order="C").take(hit, axis=2),
-                offset.T.astype(np.float32, order="C").take(hit, axis=1),
-                limit.astype(np.float32)[pair][hit],
+            depth = self._detector.surfaces.patch_depths(
+                spheres.row[rows[pair]],
+                matrix.astype(np.float32),
+                offset.astype(np.float32),
+                limit.astype(np.float32)[pair],
+                hit,
+                organs.all_patches,
+                patch,
+                stride,
             )
             np.maximum.at(result, (pair[hit], step[hit]), depth)
         return result
@@ -100,7 +99,7 @@ class StemPairs:
         middle = capsules.start + 0.5 * capsules.span
         limit = capsules.radius + 0.5 * np.sqrt(np.einsum("ci,ci->c", capsules.span, capsules.span)) + NEAR
         blades, transform = self._blades[rows][entry], transform[entry]
-        for pair, step, hit, patch in _near_patches(
+        for pair, step, hit, patch in near_patches(
             self._organs, blades, middle, limit, transform, transforms
         ):
             # Instead of moving blades to stems, move stems back to the blades.
@@ -111,76 +110,9 @@ class StemPairs:
                 np.matmul(capsules.span[pair][:, None], inverse)[:, 0],
                 capsules.radius[pair],
             )
-            depth = moved.depth(self._organs.all_patches.coordinates(patch, stride), hit)
+            depth = moved.patch_depths(self._organs.all_patches, patch, hit, stride)
             np.maximum.at(result, (entry[pair[hit]], step[hit]), depth)
         return result
-
-
-def _near_patches(
-    organs: Organs,
-    movers: IndexArray,
-    centre: FloatArray,
-    radius: FloatArray,
-    transform: IndexArray,
-    transforms: RigidTransforms,
-) -> Iterator[tuple[IndexArray, IndexArray, IndexArray, IndexArray]]:
-    """Patches of moving organs that overlap spheres, one sphere for each mover.
-
-    Yields:
-        `(h,)` indices of movers and `(h,)` of the transforms with which they meet their spheres; `(m,)` index
-        of each patch's pair among these, and `(m,)` the patches.
-    """
-    steps = transforms.shift.shape[1]
-    low, high = organs.low[movers].astype(np.float32), organs.high[movers].astype(np.float32)
-    rotation, shift = transforms.rotation.astype(np.float32), transforms.shift.astype(np.float32)
-    centres, radii = centre.astype(np.float32), radius.astype(np.float32)
-    block_size = max(ENTRIES // (4 * steps), 1)
-    for start in range(0, len(movers), block_size):
-        block = slice(start, start + block_size)
-        # Instead of moving organs to spheres, move spheres back to the organs.
-        target = _move_back(centres[block], transform[block], rotation, shift)
-        square = np.zeros(target.shape[1:], dtype=np.float32)
-        for axis in range(3):
-            offset = target[axis] - np.clip(target[axis], low[block, axis, None], high[block, axis, None])
-            square += offset * offset
-        near = np.flatnonzero(square < np.square(radii[block])[:, None])
-        pair, step = np.divmod(near, steps)
-        sphere, pair = target.reshape(3, -1).take(near, axis=1), pair + start
-        # Sample only organs that come near to something.
-        organs.sample(movers[np.unique(pair)])
-        count = organs.patch_count[movers[pair]]
-        for part in _blocks(count):
-            hit, number = expand_counts(count[part])
-            patch = organs.patch_first[movers[pair[part]]][hit] + number
-            limit = radii.take(pair[part]).take(hit) + organs.all_patches.radius.take(patch)
-            distance = np.zeros(len(patch), dtype=np.float32)
-            for axis in range(3):
-                offset = organs.all_patches.centre[:, axis].take(patch) - sphere[axis, part].take(hit)
-                distance += offset * offset
-            kept = np.flatnonzero(distance < limit * limit)
-            if len(kept):
-                yield pair[part], step[part], hit[kept], patch[kept]
-
-
-def _move_back(
-    centre: SingleArray, transform: IndexArray, rotation: SingleArray, shift: SingleArray
-) -> SingleArray:
-    """`(3, n, k)` points that transforms move to centres `(n, 3)`."""
-    x, y, z = (centre[:, axis, None] - shift[transform, :, axis] for axis in range(3))
-    r = rotation.transpose(2, 3, 0, 1)
-    return np.stack(
-        [x * r[0, i][transform] + y * r[1, i][transform] + z * r[2, i][transform] for i in range(3)]
-    )
-
-
-def _blocks(sizes: IndexArray) -> Iterator[slice]:
-    """Blocks of items whose sizes add up to at most `ENTRIES`, if more than one."""
-    total, start = np.cumsum(sizes), 0
-    while start < len(sizes):
-        done = total[start - 1] if start else 0
-        stop = max(int(np.searchsorted(total, done + ENTRIES, side="right")), start + 1)
-        yield slice(start, stop)
-        start = stop
 
 
 @dataclass(frozen=True, eq=False)
