@@ -106,8 +106,8 @@ def _bounds(points: SingleArray, starts: IndexArray) -> tuple[FloatArray, FloatA
 
 
 _Chosen = tuple[IndexArray, IndexArray, tuple[IndexArray, IndexArray]]
-"""Vertices in the mesh, organ after organ; `(3, f)` corners of triangles, counted from each organ's first vertex;
-and the number of vertices and triangles of each organ."""
+"""Vertices in the mesh, organ after organ; `(3, f)` corners of triangles, from each organ's first vertex;
+and the numbers of vertices and triangles of each."""
 
 
 def _all_triangles(organs: Organs, chosen: IndexArray) -> _Chosen:
