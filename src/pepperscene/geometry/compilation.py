@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.util import find_spec
-from typing import Any, Final, TypeVar, cast
+from typing import Any, TypeVar, cast
 
-AVAILABLE: Final = find_spec("numba") is not None
-"""Whether Numba is installed (extra `fast`)."""
+AVAILABLE = find_spec("numba") is not None
+"""Whether Numba is installed (extra `fast`). Tests and benchmarks set it to False for the reference."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
