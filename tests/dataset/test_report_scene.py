@@ -1,0 +1,193 @@
+"""The 3D view of a report: plants and cameras of the data set's scene, and why a page has none."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+import shutil
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from hostile_set import edit_json
+from typer.testing import CliRunner
+
+from pepperscene.classes import OrganClass
+from pepperscene.cli import app
+from pepperscene.dataset import FrameRenderer, open_dataset, write_report
+from pepperscene.dataset.report import scene_view as module
+from pepperscene.dataset.report.packed import unpack
+from pepperscene.dataset.report.scene_view import organ_triangles
+from pepperscene.dataset.report.three_js import three_js
+from pepperscene.dataset.scenes.scene_builder import SceneBuilder
+from pepperscene.geometry import concatenate_meshes
+
+
+class Page(HTMLParser):
+    """The attributes of the section, its texts, and the scripts."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.text, self.section, self.scripts, self.tag = path.read_text(encoding="utf-8"), None, [], ""
+        self.ids = set()
+        self.feed(self.text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tag, attributes = tag, dict(attrs)
+        self.ids.add(attributes.get("id"))
+        if (tag, attributes.get("id")) == ("section", "scene"):
+            self.section = attributes
+
+    def handle_data(self, data):
+        if self.tag == "script" and data.strip():
+            self.scripts.append(data)
+
+
+@pytest.fixture(scope="module")
+def page(grown, tmp_path_factory):
+    folder = shutil.copytree(grown.folder, tmp_path_factory.mktemp("scene") / "set")
+    return Page(write_report(folder, limit=2, scene=True).page)
+
+
+@pytest.fixture(scope="module")
+def data(page):
+    return unpack(page.section["data-scene"])
+
+
+@pytest.fixture
+def folder(grown, tmp_path):
+    return shutil.copytree(grown.folder, tmp_path / "set")
+
+
+def test_cameras_are_those_of_the_scene(grown, data):
+    # Frames 0 to 2 are of the first scene, 3 of the second.
+    assert [camera["index"] for camera in data["cameras"]] == [0, 1, 2]
+    for camera in data["cameras"]:
+        metadata = grown.metadata(camera["index"])["camera"]
+        pose = np.array(metadata["pose"])
+        points = np.array(camera["points"]) / 1e3
+        np.testing.assert_allclose(points[0], pose[:3, 3], atol=5.1e-4)
+        # The corners project to the corners of the image; half a millimetre at 0.15 m is a few pixels.
+        corners = (points[1:] - pose[:3, 3]) @ pose[:3, :3]
+        pixels = corners[:, :2] / corners[:, 2:] * [metadata["fx"], metadata["fy"]]
+        pixels += [metadata["cx"], metadata["cy"]]
+        width, height = metadata["width"], metadata["height"]
+        expected = [(0, 0), (width, 0), (width, height), (0, height)]
+        np.testing.assert_allclose(pixels, expected, atol=0.01 * width)
+
+
+def test_cameras_link_to_the_shown_frames(page, data):
+    cards = [camera["card"] for camera in data["cameras"]]
+    assert cards == ["a-000000", None, None]
+    assert set(filter(None, cards)) <= page.ids
+
+
+def test_plants_are_those_of_the_frames_simplified(grown_recipe, data):
+    renderer = FrameRenderer(grown_recipe, culled=False)
+    mesh = renderer.scene(grown_recipe.plan.frame(0), traced=False).mesh
+    assert set(data["organs"]) >= {str(int(organ)) for organ in (OrganClass.LEAF, OrganClass.STEM)}
+    for number, organ in data["organs"].items():
+        own = mesh.faces[mesh.face_class == int(number)]
+        vertices = np.unique(np.rint(1e3 * mesh.vertices[own].reshape(-1, 3).astype(float)), axis=0)
+        positions = np.reshape(organ["positions"], (-1, 3))
+        assert {tuple(row) for row in positions} <= {tuple(row) for row in vertices}
+        assert 0 < len(organ["faces"]) < own.size
+        assert set(organ["faces"]) == set(range(len(positions)))
+        if int(number) == OrganClass.LEAF:
+            assert (np.ptp(positions, axis=0) > 0.8 * np.ptp(vertices, axis=0)).all()
+
+
+def test_page_needs_no_network(page):
+    # Of three.js: the namespace of XHTML and a comment.
+    urls = set(re.findall(r"\w+://[^\"'\s)]+", page.text))
+    assert urls == {"http://www.w3.org/1999/xhtml", "https://github.com/mrdoob/three.js/pull/23228"}
+    assert "default-src 'none'" in page.text
+    digests = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in page.scripts]
+    assert len(digests) == 2
+    assert re.search(r"script-src ([^;]+);", page.text)[1].split() == [f"'sha256-{one}'" for one in digests]
+
+
+def test_three_js_is_the_library_with_its_licence():
+    library = three_js()
+    assert "SPDX-License-Identifier: MIT" in library[:200]
+    assert all(name in library for name in ("WebGLRenderer", "MeshLambertMaterial", "GridHelper"))
+    # Not the viewer of trimesh.
+    assert "GLTFLoader" not in library
+
+
+def test_page_without_a_view_grows_nothing(folder, monkeypatch):
+    def refuse(*_arguments, **_options):
+        raise AssertionError("a plant was grown")
+
+    monkeypatch.setattr(SceneBuilder, "plants", refuse)
+    files = write_report(folder)
+    page = Page(files.page)
+    assert files.missing_scene == ""
+    assert page.section is None
+    assert len(page.scripts) == 1
+
+
+def with_other_version(folder, monkeypatch):
+    edit_json(folder / "dataset.json", lambda content: {**content, "version": "0.0.1"})
+    return "the data set was built by version 0.0.1, and this is "
+
+
+def with_other_cultivar(folder, monkeypatch):
+    def change(content):
+        content["files"]["cultivar"]["sha256"] = "0" * 64
+        return {**content, "recipe_sha256": "0" * 64}
+
+    edit_json(folder / "dataset.json", change)
+    return "the recipe names files that are not shipped with this version"
+
+
+def with_unknown_cultivar(folder, monkeypatch):
+    def change(content):
+        content["recipe"]["cultivar"] = "my_cultivar"
+        return content
+
+    edit_json(folder / "dataset.json", change)
+    return "the recipe names files that are not shipped with this version"
+
+
+def without_library(folder, monkeypatch):
+    monkeypatch.setattr(module, "three_js", lambda: None)
+    return "the installed version of trimesh does not contain three.js"
+
+
+@pytest.mark.parametrize(
+    "damage", [with_other_version, with_other_cultivar, with_unknown_cultivar, without_library]
+)
+def test_page_says_why_it_has_no_view(folder, monkeypatch, damage):
+    reason = damage(folder, monkeypatch)
+    result = CliRunner().invoke(app, ["report", str(folder), "--scene"])
+    assert result.exit_code == 0, result.output
+    page = Page(folder / "index.html")
+    assert f"There is no 3D view: {reason}" in page.text
+    assert "data-scene" not in page.section
+    assert len(page.scripts) == 1
+    assert f"note: the page has no 3D view: {reason}" in result.stderr
+
+
+def test_nearest_plants_are_kept_where_they_are_many(grown_recipe, monkeypatch):
+    mesh = FrameRenderer(grown_recipe, culled=False).scene(grown_recipe.plan.frame(0), traced=False).mesh
+    row = concatenate_meshes(
+        [mesh.with_plant(number).moved(np.eye(3), (float(number), 0, 0)) for number in range(3)]
+    )
+    organs, plants, total = organ_triangles(row, np.array([[2.1, -0.4, 1.0], [2.0, -0.4, 1.0]]))
+    assert (plants, total) == (3, 3)
+    triangles = sum(len(organ["faces"]) for organ in organs.values()) // 3
+    monkeypatch.setattr(module, "_MAX_TRIANGLES", triangles // 3 + 5)
+    organs, plants, total = organ_triangles(row, np.array([[2.1, -0.4, 1.0], [2.0, -0.4, 1.0]]))
+    assert (plants, total) == (1, 3)
+    x = np.concatenate([organ["positions"][::3] for organ in organs.values()])
+    assert abs(x.mean() - 2000) < 300
+
+
+def test_damaged_frames_are_errors(folder):
+    (folder / "frames" / "000001.json").write_text("{", encoding="utf-8")
+    result = CliRunner().invoke(app, ["report", str(folder), "--scene"])
+    assert result.exit_code == 2
+    assert not (folder / "index.html").exists()
+    assert open_dataset(folder).indices()
