@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import re
 import shutil
+from datetime import date
 from html.parser import HTMLParser
 
 import numpy as np
@@ -16,12 +18,18 @@ from typer.testing import CliRunner
 from pepperscene.classes import OrganClass
 from pepperscene.cli import app
 from pepperscene.dataset import FrameRenderer, open_dataset, write_report
+from pepperscene.dataset.recipe.frame_setups import FrameSetups
+from pepperscene.dataset.recipe.load import resolve_recipe
+from pepperscene.dataset.recipe.recipe import digest
 from pepperscene.dataset.report import scene_view as module
 from pepperscene.dataset.report.packed import unpack
+from pepperscene.dataset.report.recorded_scene import MissingSceneError, recorded_recipe
 from pepperscene.dataset.report.scene_view import organ_triangles
 from pepperscene.dataset.report.three_js import three_js
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 from pepperscene.geometry import concatenate_meshes
+from pepperscene.shipped import shipped_folder
+from pepperscene.version import __version__
 
 
 class Page(HTMLParser):
@@ -168,6 +176,28 @@ def test_page_says_why_it_has_no_view(folder, monkeypatch, damage):
     assert "data-scene" not in page.section
     assert len(page.scripts) == 1
     assert f"note: the page has no 3D view: {reason}" in result.stderr
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted(shipped_folder("recipes").glob("*.toml"))])
+def test_shipped_recipes_are_the_same_from_their_data_sets(name):
+    resolved = resolve_recipe(name)
+    content = {"recipe_sha256": digest(dict(resolved.identity)), **resolved.identity}
+    info = json.loads(json.dumps({"version": __version__, **content}))
+    again = recorded_recipe(info)
+    assert again.identity == resolved.identity
+    for index in (0, resolved.recipe.plan.count - 1):
+        spec = resolved.recipe.plan.frame(index)
+        assert FrameSetups(again).at(spec).plants == FrameSetups(resolved).at(spec).plants
+
+
+def test_drawn_dates_are_a_reason():
+    growth = {"until": "kaite_september", "date": {"uniform": [date(2016, 3, 1), date(2016, 5, 1)]}}
+    identity = resolve_recipe("greenhouse", {"cultivar": "kaite_february", "growth": growth}).identity
+    info = json.loads(
+        json.dumps({"version": __version__, "recipe_sha256": digest(dict(identity)), **identity})
+    )
+    with pytest.raises(MissingSceneError, match="draws dates"):
+        recorded_recipe(info)
 
 
 def test_nearest_plants_are_kept_where_they_are_many(grown_recipe, monkeypatch):

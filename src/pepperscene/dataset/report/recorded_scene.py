@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from datetime import date
+from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.dataset.recipe.frame_setups import FrameSetups
 from pepperscene.dataset.recipe.load import resolve_recipe
@@ -18,6 +19,10 @@ from pepperscene.version import __version__
 
 if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
+
+
+_DATE: Final = "growth.date"
+"""The only key of a recipe that is a date."""
 
 
 class MissingSceneError(Exception):
@@ -36,16 +41,30 @@ def recorded_recipe(info: Mapping[str, Any]) -> ResolvedRecipe:
             f"the data set was built by version {info['version']}, and this is {__version__}"
         )
     tables = {key: value for key, value in info["recipe"].items() if key != "variation"}
+    variation = read_variation(info["recipe"])
+    if any(varied.name == _DATE for varied in variation):
+        raise MissingSceneError("the recipe draws dates, which data sets record as text")
     try:
-        recipe = validate(Recipe, tables, "dataset.json").with_variation(read_variation(info["recipe"]))
+        recipe = validate(Recipe, _with_dates(tables), "dataset.json").with_variation(variation)
         resolved = resolve_recipe(recipe)
         is_same = digest(dict(resolved.identity)) == info["recipe_sha256"]
-    except InputError:
+    except (InputError, ValueError):
         # Data sets record the names of the user's own files, not their folders.
         is_same = False
     if not is_same:
         raise MissingSceneError("the recipe names files that are not shipped with this version")
     return resolved
+
+
+def _with_dates(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """A recipe's tables from JSON, with dates instead of their text; raises `ValueError` if one is none."""
+    changed = dict(tables)
+    growth, twins = tables.get("growth") or {}, tables.get("twins") or {}
+    if isinstance(growth.get("date"), str):
+        changed["growth"] = {**growth, "date": date.fromisoformat(growth["date"])}
+    if _DATE in twins:
+        changed["twins"] = {**twins, _DATE: [date.fromisoformat(str(value)) for value in twins[_DATE]]}
+    return changed
 
 
 def grow_row(resolved: ResolvedRecipe, spec: FrameSpec) -> Mesh:
