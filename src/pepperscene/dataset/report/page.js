@@ -17,6 +17,7 @@ function show(index) {
     dialog.showModal();
     // A modal dialog makes the rest of the page inert: the switches move into it.
     if (controls) dialog.append(controls);
+    dialog.classList.toggle("switched", controls !== null);
   }
   drawLargeOverlay();
 }

@@ -106,7 +106,7 @@ def _section(dataset: Dataset, shown: Sequence[int]) -> Html:
         element("h2", "Scene"),
         element("p", note, class_="note"),
         element("p", joined(map(_class_switch, _SHOWN)), class_="legend organs"),
-        element("canvas", tabindex=0, role="img", aria_label="3D view of plants and cameras"),
+        element("canvas", tabindex=0, role="application", aria_label="3D view of plants and cameras"),
         element("p", *buttons, element("span", aria_live="polite", class_="status"), class_="views"),
         id="scene",
         data_scene=pack({"organs": organs, "cameras": cameras}),
