@@ -1,8 +1,9 @@
-"""Photograph a report in a browser for the page about reports, into docs/images.
+r"""Photograph a report in a browser for the page about reports, into docs/images.
 
 It needs Chromium. Run it after a change that affects the picture:
 
-pepperscene build demo --out out/report --set plan.select=[10,60,110,160,210] --outputs colour,class,instance,distance,harvest
+pepperscene build demo --out out/report --set plan.select=[10,60,110,160,210] \
+    --outputs colour,class,instance,distance,harvest
 pepperscene report out/report --scene
 python docs/figures/report.py out/report
 """
@@ -27,8 +28,8 @@ from chromium import Browser
 WIDTH, HEIGHT = 1200, 900  # of the window, pixels
 OUT_WIDTH: Final = 1000
 GAP: Final = 12  # pixels between the two pictures
-ONLY_FRUIT: Final = (0, 1, 3, 4, 5, 6, 7)
-"""Keys of the other classes."""
+OTHER_CLASSES: Final = (1, 3, 4, 5, 6, 7)
+"""Keys of the classes that are switched off: all but fruit."""
 
 
 def screenshot(browser: Browser, selector: str) -> Image.Image:
@@ -43,7 +44,7 @@ def screenshot(browser: Browser, selector: str) -> Image.Image:
 def frame_with_labels(browser: Browser) -> Image.Image:
     """The first photograph, enlarged, with masks, boxes and keypoints of its fruit."""
     browser.run("document.querySelector('.card .picture').click()")
-    for key in ("i", "b", "k", *map(str, ONLY_FRUIT[1:])):
+    for key in ("i", "b", "k", *map(str, OTHER_CLASSES)):
         browser.press(key)
     browser.run("new Promise(next => setTimeout(next, 500))")
     picture = screenshot(browser, "dialog")

@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from hostile_set import edit_json
+from hostile_set import edit_frame, edit_json
 from typer.testing import CliRunner
 
 from pepperscene.classes import OrganClass
@@ -159,13 +159,29 @@ def with_unknown_cultivar(folder, monkeypatch):
     return "the recipe names files that are not shipped with this version"
 
 
+def without_focal_length(folder, monkeypatch):
+    def change(content):
+        content["camera"]["fx"] = 0.0
+        return content
+
+    edit_frame(folder, 1, change)
+    return "the camera of frame 1 has no focal length above 0"
+
+
 def without_library(folder, monkeypatch):
     monkeypatch.setattr(module, "three_js", lambda: None)
     return "the installed version of trimesh does not contain three.js"
 
 
 @pytest.mark.parametrize(
-    "damage", [with_other_version, with_other_cultivar, with_unknown_cultivar, without_library]
+    "damage",
+    [
+        with_other_version,
+        with_other_cultivar,
+        with_unknown_cultivar,
+        without_focal_length,
+        without_library,
+    ],
 )
 def test_page_says_why_it_has_no_view(folder, monkeypatch, damage):
     reason = damage(folder, monkeypatch)

@@ -118,8 +118,13 @@ def camera_entry(metadata: Mapping[str, Any], shown: Collection[int]) -> dict[st
 
     The points are the projection centre and the upper left, upper right, lower right and lower left corners
     of the image at `_FRUSTUM_M`, without distortion, in millimetres.
+
+    Raises:
+        MissingSceneError: its focal length is not above 0.
     """
     camera, index = metadata["camera"], metadata["index"]
+    if not min(camera["fx"], camera["fy"]) > 0:
+        raise MissingSceneError(f"the camera of frame {index} has no focal length above 0")
     # Data sets of early versions do not record the size; the principal point is near the centre.
     width = camera.get("width") or 2.0 * camera["cx"]
     height = camera.get("height") or 2.0 * camera["cy"]
