@@ -170,7 +170,7 @@ def without_focal_length(folder, monkeypatch):
 
 def without_library(folder, monkeypatch):
     monkeypatch.setattr(module, "three_js", lambda: None)
-    return "the installed version of trimesh does not contain three.js"
+    return "it needs three.js r140 of trimesh 4.8.3 or later"
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def scene_view(dataset: Dataset, shown: Sequence[int]) -> SceneView:
     try:
         library = three_js()
         if library is None:
-            raise MissingSceneError("the installed version of trimesh does not contain three.js")
+            raise MissingSceneError("it needs three.js r140 of trimesh 4.8.3 or later")
         return SceneView(_section(dataset, shown), library)
     except MissingSceneError as error:
         text = fragment("There is no 3D view: ", str(error), ".")

@@ -16,7 +16,8 @@ _LIBRARY: Final = re.compile(
 def three_js() -> Html | None:
     """The library with its licence notice (MIT), as a script that defines `THREE`.
 
-    None if the installed trimesh does not contain it.
+    None if the installed trimesh does not contain it: versions before 4.8.3 have one of 2020 without its
+    licence notice.
     """
     try:
         from trimesh.resources import get_bytes
