@@ -15,8 +15,8 @@ function buildScene(data) {
     organs.set(organ, new THREE.Mesh(geometry, material));
     scene.add(organs.get(organ));
   }
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x909090, 0.8));
-  const lamp = new THREE.DirectionalLight(0xffffff, 0.6);
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x606060, 0.65));
+  const lamp = new THREE.DirectionalLight(0xffffff, 0.75);
   scene.add(lamp, lamp.target);
   return { scene, organs, lamp };
 }
@@ -30,6 +30,14 @@ function frustumLines(cameras, colour) {
   return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color: colour }));
 }
 
+// Hundreds of frustums would cover the plants: other frames are points.
+function cameraPoints(cameras, colour) {
+  const geometry = new THREE.BufferGeometry();
+  const values = cameras.flatMap(({ points }) => points[0]).map(value => value / 1000);
+  geometry.setAttribute("position", new THREE.Float32BufferAttribute(values, 3));
+  return new THREE.Points(geometry, new THREE.PointsMaterial({ color: colour, size: 5, sizeAttenuation: false }));
+}
+
 // A camera that looks at a target from a distance and two angles, with the horizon level.
 class Orbit {
   constructor(box) {
@@ -39,12 +47,12 @@ class Orbit {
     this.reset();
   }
 
-  // From the aisle, which is at -y, slightly from above.
+  // From the side of the aisle, which is at -y, and slightly from above.
   reset() {
     this.target = this.box.getCenter(new THREE.Vector3());
     this.distance = 1.1 * this.box.getBoundingSphere(new THREE.Sphere()).radius / Math.sin(Math.PI / 9);
-    this.azimuth = -1.2;
-    this.elevation = 0.3;
+    this.azimuth = -0.6;
+    this.elevation = 0.25;
   }
 
   rotate(right, up) {
@@ -87,8 +95,7 @@ async function showScene() {
   }
   const { scene, organs, lamp } = buildScene(data);
   scene.background = new THREE.Color(0x0d0f14);
-  scene.add(frustumLines(cameras.filter(({ card }) => !card), 0x8a94a0));
-  scene.add(frustumLines(cameras.filter(({ card }) => card), 0x3fc8b4));
+  scene.add(cameraPoints(cameras, 0x9aa4b0), frustumLines(cameras.filter(({ card }) => card), 0xf2f5f7));
   const box = new THREE.Box3().setFromObject(scene), orbit = new Orbit(box);
   // The ground, in squares of half a metre.
   const metres = Math.ceil(2 * box.getBoundingSphere(new THREE.Sphere()).radius) + 1;
@@ -102,7 +109,8 @@ async function showScene() {
     renderer.setPixelRatio(window.devicePixelRatio || 1);
     renderer.setSize(width, height, false);
     orbit.update(width / Math.max(height, 1));
-    lamp.position.copy(orbit.camera.position);
+    // The light is above the viewer.
+    lamp.position.copy(orbit.camera.position).add(new THREE.Vector3(0, 0, orbit.distance));
     lamp.target.position.copy(orbit.target);
     renderer.render(scene, orbit.camera);
   }
@@ -120,7 +128,10 @@ async function showScene() {
     canvas.dataset.frame = number < 0 ? "" : cameras[number].index;
     if (number >= 0) {
       const { index, card, points } = cameras[number], name = `Frame ${String(index).padStart(6, "0")}`;
-      highlight = frustumLines([cameras[number]], 0xffd23f);
+      highlight = frustumLines([cameras[number]], 0xff9150);
+      // It is drawn last, over what hides it.
+      highlight.material.depthTest = false;
+      highlight.renderOrder = 1;
       scene.add(highlight);
       const link = document.createElement(card ? "a" : "span");
       if (card) link.href = `#${card}`;
