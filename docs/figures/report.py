@@ -25,9 +25,11 @@ from PIL import Image
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "dataset"))
 from chromium import Browser
 
-WIDTH, HEIGHT = 1200, 900  # of the window, pixels
-OUT_WIDTH: Final = 1000
-GAP: Final = 12  # pixels between the two pictures
+WINDOW: Final = (1200, 900)
+NARROW: Final = (560, 900)
+"""Width and height of the browser's window for the photograph and for the 3D view, pixels."""
+OUT_HEIGHT: Final = 640
+GAP: Final = 8  # pixels between the two pictures
 OTHER_CLASSES: Final = (1, 3, 4, 5, 6, 7)
 """Keys of the classes that are switched off: all but fruit."""
 
@@ -62,30 +64,35 @@ def scene(browser: Browser) -> Image.Image:
     return screenshot(browser, "#scene canvas")
 
 
+def take_pictures(page: Path) -> list[Image.Image]:
+    """The enlarged photograph and the 3D view of a page."""
+    with tempfile.TemporaryDirectory() as profile:
+        browser = Browser(Path(profile))
+        try:
+            browser.open(page, *WINDOW, dark=True)
+            browser.wait_until("document.body.dataset.labelled === 'true'")
+            photograph = frame_with_labels(browser)
+            browser.open(page, *NARROW, dark=True)
+            browser.wait_until("document.getElementById('scene').dataset.drawn === 'true'")
+            return [photograph, scene(browser)]
+        finally:
+            browser.close()
+
+
 def main() -> None:
     """Write the picture of the report of a data set."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, help="data set with a report that has a 3D view")
-    folder = parser.parse_args().folder
-    with tempfile.TemporaryDirectory() as profile:
-        browser = Browser(Path(profile))
-        try:
-            browser.open(folder / "index.html", WIDTH, HEIGHT, dark=True)
-            browser.wait_until("document.body.dataset.labelled === 'true'")
-            browser.wait_until("document.getElementById('scene').dataset.drawn === 'true'")
-            parts = [frame_with_labels(browser), scene(browser)]
-        finally:
-            browser.close()
     parts = [
-        part.resize((OUT_WIDTH, round(OUT_WIDTH * part.height / part.width)), Image.Resampling.LANCZOS)
-        for part in parts
+        part.resize((round(OUT_HEIGHT * part.width / part.height), OUT_HEIGHT), Image.Resampling.LANCZOS)
+        for part in take_pictures(parser.parse_args().folder / "index.html")
     ]
-    sheet = Image.new("RGB", (OUT_WIDTH, sum(part.height for part in parts) + GAP), "white")
-    top = 0
+    sheet = Image.new("RGB", (sum(part.width for part in parts) + GAP, OUT_HEIGHT), "white")
+    left = 0
     for part in parts:
-        sheet.paste(part, (0, top))
-        top += part.height + GAP
-    sheet.save(IMAGES / "report.jpg", quality=88, optimize=True)
+        sheet.paste(part, (left, 0))
+        left += part.width + GAP
+    sheet.save(IMAGES / "report.jpg", quality=85, optimize=True)
 
 
 if __name__ == "__main__":

@@ -72,9 +72,10 @@ class Orbit {
   }
 
   update(aspect) {
-    const flat = Math.cos(this.elevation) * this.distance;
+    // The scene also fits into a view that is higher than wide.
+    const distance = this.distance / Math.min(1, aspect), flat = Math.cos(this.elevation) * distance;
     this.camera.position.set(
-      flat * Math.cos(this.azimuth), flat * Math.sin(this.azimuth), Math.sin(this.elevation) * this.distance,
+      flat * Math.cos(this.azimuth), flat * Math.sin(this.azimuth), Math.sin(this.elevation) * distance,
     ).add(this.target);
     this.camera.lookAt(this.target);
     this.camera.aspect = aspect;
@@ -108,7 +109,7 @@ async function showScene() {
     const width = canvas.clientWidth, height = canvas.clientHeight;
     renderer.setPixelRatio(window.devicePixelRatio || 1);
     renderer.setSize(width, height, false);
-    orbit.update(width / Math.max(height, 1));
+    orbit.update(Math.max(width, 1) / Math.max(height, 1));
     // The light is above the viewer.
     lamp.position.copy(orbit.camera.position).add(new THREE.Vector3(0, 0, orbit.distance));
     lamp.target.position.copy(orbit.target);
