@@ -23,7 +23,7 @@ from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.recipe.recipe import digest
 from pepperscene.dataset.report import scene_view as module
 from pepperscene.dataset.report.packed import unpack
-from pepperscene.dataset.report.recorded_scene import MissingSceneError, recorded_recipe
+from pepperscene.dataset.report.recorded_scene import MissingSceneError, grow_row, recorded_recipe
 from pepperscene.dataset.report.scene_view import organ_triangles
 from pepperscene.dataset.report.three_js import three_js
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder
@@ -104,6 +104,21 @@ def test_plants_are_those_of_the_frames_simplified(grown_recipe, data):
         assert set(organ["faces"]) == set(range(len(positions)))
         if int(number) == OrganClass.LEAF:
             assert (np.ptp(positions, axis=0) > 0.8 * np.ptp(vertices, axis=0)).all()
+
+
+def test_plants_do_not_depend_on_the_rows_that_the_view_leaves_out():
+    changes = {"row.plants_front": 1, "row.plants_back": 0, "cultivar": "kaite_february"}
+    resolved = resolve_recipe("greenhouse", {**changes, "greenhouse.far_rows": 1})
+    spec = resolved.recipe.plan.frame(0)
+    builder = SceneBuilder(resolved.recipe, resolved.cultivar)
+    row, complete = grow_row(resolved, spec), builder.scene(spec.set, spec.rotation).mesh
+    assert len(row.instances) < len(complete.instances)
+
+    def corners(mesh):
+        is_plant = np.array([one.plant >= 0 and one.far_row < 0 for one in mesh.instances])
+        return mesh.vertices[mesh.faces[is_plant[mesh.face_instance]]]
+
+    np.testing.assert_array_equal(corners(row), corners(complete))
 
 
 def test_page_needs_no_network(page):
