@@ -15,7 +15,7 @@ from pathlib import Path
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 TIMEOUT_S = 60.0
 
-KEY_CODES = {"Tab": 9, "Enter": 13, "Escape": 27} | {
+KEY_CODES = {"Tab": 9, "Enter": 13, "Escape": 27, "Home": 36, "+": 187} | {
     f"Arrow{direction}": 37 + number for number, direction in enumerate(("Left", "Up", "Right", "Down"))
 }
 
@@ -48,6 +48,8 @@ class Browser:
             "--disable-sync", "--hide-scrollbars", "--mute-audio", f"--user-data-dir={profile}",
             # Required as root, as in containers; the pages are our own.
             "--no-sandbox",
+            # WebGL on machines without a graphics card.
+            "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
         ]  # fmt: skip
         self._process = subprocess.Popen(
             [sys.executable, "-c", _LAUNCH, str(read_commands), str(write_answers), *arguments],
@@ -134,10 +136,11 @@ class Browser:
             time.sleep(0.05)
 
     def press(self, key: str) -> None:
-        """Press and release a key."""
-        event = {"key": key, "code": key, "windowsVirtualKeyCode": KEY_CODES[key]}
-        if key == "Enter":
-            event["text"] = "\r"
+        """Press and release a key, or a letter or digit."""
+        code = KEY_CODES.get(key) or ord(key.upper())
+        event = {"key": key, "code": key, "windowsVirtualKeyCode": code}
+        if key == "Enter" or len(key) == 1:
+            event["text"] = "\r" if key == "Enter" else key
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, **event)
 
@@ -162,6 +165,17 @@ class Browser:
         )
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Move the mouse from a point of the window to another with the left button down."""
+        event = {"button": "left", "clickCount": 1}
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=start[0], y=start[1], **event)
+        self.move(*end, button="left", buttons=1)
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=end[0], y=end[1], **event)
+
+    def move(self, x: float, y: float, **buttons) -> None:
+        """Move the mouse to a point of the window."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, **buttons)
 
     def _listen(self) -> None:
         """Read messages, which end with a zero byte."""

@@ -120,6 +120,23 @@ def small(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def grown_recipe():
+    """Two scenes of a single plant, of the smallest growth stage, with three frames each."""
+    changes = {
+        "plan.sets": 1, "plan.rotations": 2, "plan.frames": 3, "row.plants_front": 1, "row.plants_back": 0,
+        "cultivar": "kaite_february",
+    }  # fmt: skip
+    return load_recipe("barth2018", changes)
+
+
+@pytest.fixture(scope="session")
+def grown(grown_recipe, tmp_path_factory):
+    """Four frames of plants that can be grown again; to be read, not changed."""
+    folder, outputs = tmp_path_factory.mktemp("grown") / "set", ("colour", "class", "instance")
+    return build(grown_recipe, folder, "0:4", outputs, BuildOptions(renderer=StandIn)).dataset
+
+
+@pytest.fixture(scope="session")
 def painted(tmp_path_factory):
     """Six painted frames, with organs in pieces and with holes; to be read, not changed."""
     return make_painted_set(tmp_path_factory.mktemp("painted") / "set")

@@ -83,6 +83,7 @@ def started(tmp_path_factory):
 def browser(started, page):
     """A browser with the page, which must make no requests, errors or log entries."""
     started.open(page)
+    started.wait_until("document.body.dataset.labelled === 'true'")
     yield started
     assert_quiet(started, page)
 

@@ -14,6 +14,7 @@ from hostile_set import (
     NUMBERS,
     TEXT,
     edit_frame,
+    edit_json,
     make_hostile,
     make_photographs,
     make_plain_set,
@@ -23,6 +24,7 @@ from hostile_set import (
 from pepperscene.dataset import write_report
 from pepperscene.dataset.report.markup import Html, element, fragment, joined
 from pepperscene.errors import PepperError
+from pepperscene.version import __version__
 
 URL_ATTRIBUTES = ("href", "src", "xlink:href")
 
@@ -120,6 +122,18 @@ def test_policy_allows_exactly_the_script_and_the_style_of_the_page(hostile):
     for tag in ("script", "style"):
         digest = hashlib.sha256(hostile.texts[tag].encode()).digest()
         assert policy[f"{tag}-src"] == [f"'sha256-{base64.b64encode(digest).decode()}'"]
+
+
+@pytest.mark.parametrize("version", [TEXT, __version__])
+def test_scene_of_a_hostile_recipe_is_refused_in_words(plain, tmp_path, version):
+    folder = shutil.copytree(plain[0], tmp_path / "set")
+    make_hostile(folder)
+    edit_json(folder / "dataset.json", lambda content: {**content, "version": version})
+    files = write_report(folder, limit=2, scene=True)
+    page = Elements(files.page)
+    assert_harmless(page)
+    assert f"There is no 3D view: {files.missing_scene}." in page.texts["p"]
+    assert (TEXT in files.missing_scene) == (version == TEXT)
 
 
 @pytest.fixture(scope="module")

@@ -183,6 +183,9 @@ def report(
     half: HalfOption = None,
     limit: Annotated[int, typer.Option(min=1, max=200, help="Show at most this many frames.")] = 12,
     sample: Annotated[int, typer.Option(min=1, help="Measure at most this many frames.")] = 1000,
+    scene: Annotated[
+        bool, typer.Option(help="Add a 3D view of a scene and its cameras; its plants are grown again.")
+    ] = False,
 ) -> None:
     """Write an HTML report and a contact sheet. The files are in the folder of the data set."""
     from pepperscene.dataset import write_report
@@ -192,11 +195,13 @@ def report(
     for name, value in (("labels", labels), ("half", half)):
         if beside is None and value is not None:
             raise InputError(f"--{name}", "applies only with --beside")
-    written = write_report(folder, limit, other, sample=sample, on_progress=echo_measured)
+    written = write_report(folder, limit, other, sample=sample, scene=scene, on_progress=echo_measured)
     typer.echo(
         f"{written.shown} of {written.frames} frames shown, {written.measured} measured:\n"
         f"  {written.sheet}\n  {written.page}"
     )
+    if written.missing_scene:
+        echo_progress(f"note: the page has no 3D view: {written.missing_scene}")
 
 
 @app.command()

@@ -55,12 +55,14 @@ def class_colours(class_id: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def instance_colours(instance: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
     """Instances `(h, w)` as colours `(h, w, 3)`; neighbouring numbers have very different hues."""
     numbers, inverse = np.unique(instance, return_inverse=True)
-    palette = np.array([_instance_colour(int(number)) for number in numbers], dtype=np.uint8)
+    palette = np.array([instance_colour(int(number)) for number in numbers], dtype=np.uint8)
     return palette[inverse.reshape(instance.shape)]
 
 
-def _instance_colour(number: int) -> tuple[int, int, int]:
-    """A hue by the golden ratio, never near the last few; two values and two saturations."""
+def instance_colour(number: int) -> tuple[int, int, int]:
+    """The 8-bit RGB of an instance: a hue by the golden ratio, never near the last few; two values and two
+    saturations.
+    """
     if number == 0:
         return _BACKGROUND
     value = 1.0 if number % 2 else 0.78
@@ -71,35 +73,70 @@ def _instance_colour(number: int) -> tuple[int, int, int]:
 
 _MAX_SIZE_PX: Final = 1600
 """Chosen: no screen shows more of an image; a 4k frame would take 15 MB."""
-_JPEG_QUALITY: Final = 90  # chosen: keeps the sensor's noise visible
+_JPEG_STEPS: Final = (
+    (90, 1.0),
+    (80, 1.0),
+    (70, 1.0),
+    (80, 0.75),
+    (70, 0.75),
+    (75, 0.5),
+    (75, 0.35),
+    (70, 0.25),
+)
+"""JPEG quality and scale of a photograph, tried in turn. Chosen: the first keeps the sensor's noise visible;
+a smaller image looks better than one below quality 70."""
+_MIN_SIZE_PX: Final = 64  # chosen: no image of labels is reduced further
 
 
-def jpeg_data_uri(rgb: NDArray[np.uint8]) -> str:
-    """A photograph `(h, w, 3)` uint8 as the data URI of a JPEG."""
+def jpeg_data_uri(rgb: NDArray[np.uint8], max_length: int | None = None) -> str:
+    """A photograph `(h, w, 3)` uint8 as the data URI of a JPEG.
+
+    With `max_length`, its quality and then its size are reduced until the URI has at most so many characters.
+    """
     from PIL import Image
 
     image = Image.fromarray(np.ascontiguousarray(rgb))
     if max(image.size) > _MAX_SIZE_PX:
         image.thumbnail((_MAX_SIZE_PX, _MAX_SIZE_PX), Image.Resampling.LANCZOS)
-    buffer = io.BytesIO()
-    image.save(buffer, format="JPEG", quality=_JPEG_QUALITY, optimize=True)
-    return _data_uri("jpeg", buffer.getvalue())
+    uri = ""
+    for quality, scale in _JPEG_STEPS:
+        size = (max(1, round(scale * image.width)), max(1, round(scale * image.height)))
+        scaled = image if scale == 1.0 else image.resize(size, Image.Resampling.LANCZOS)
+        buffer = io.BytesIO()
+        scaled.save(buffer, format="JPEG", quality=quality, optimize=True)
+        uri = _data_uri("jpeg", buffer.getvalue())
+        if max_length is None or len(uri) <= max_length:
+            break
+    return uri
 
 
-def png_data_uri(rgb: NDArray[np.uint8], max_size_px: int = _MAX_SIZE_PX) -> str:
-    """Labels or a map in colours `(h, w, 3)` uint8 as the data URI of a PNG with the same colours."""
+def png_data_uri(
+    rgb: NDArray[np.uint8], max_size_px: int = _MAX_SIZE_PX, max_length: int | None = None
+) -> str:
+    """Labels or a map in colours `(h, w, 3)` uint8 as the data URI of a PNG with the same colours.
+
+    With `max_length`, pixels are left out until the URI has at most so many characters.
+    """
+    # Colours of labels must not be blended: a mixture would be another class.
+    longest = max(rgb.shape[:2])
+    stride = -(-longest // max_size_px)
+    uri = _png_data_uri(rgb[::stride, ::stride])
+    while max_length is not None and len(uri) > max_length and longest > _MIN_SIZE_PX * (stride + 1):
+        stride += 1
+        uri = _png_data_uri(rgb[::stride, ::stride])
+    return uri
+
+
+def _png_data_uri(rgb: NDArray[np.uint8]) -> str:
     from PIL import Image
 
-    # Colours of labels must not be blended: a mixture would be another class.
-    stride = -(-max(rgb.shape[:2]) // max_size_px)
-    rgb = np.ascontiguousarray(rgb[::stride, ::stride])
     codes = (rgb.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(axis=-1, dtype=np.uint32)
     distinct, inverse = np.unique(codes, return_inverse=True)
     if len(distinct) <= 256:
         image = Image.fromarray(inverse.reshape(codes.shape).astype(np.uint8), mode="P")
         image.putpalette(b"".join(int(code).to_bytes(3, "big") for code in distinct))
     else:
-        image = Image.fromarray(rgb)
+        image = Image.fromarray(np.ascontiguousarray(rgb))
     buffer = io.BytesIO()
     image.save(buffer, format="PNG")
     return _data_uri("png", buffer.getvalue())

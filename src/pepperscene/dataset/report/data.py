@@ -218,6 +218,7 @@ class SetSummary:
     records: FrameRecords | None  # of all frames; None if it is not a data set of this package
     cards: tuple[Html, ...]  # its displayed images
     table_rows: tuple[tuple[Html, list[str]], ...]  # head and cells for each of these images
+    has_labels: bool  # whether any of these images has labels
 
     def class_fractions(self) -> tuple[NDArray[np.float64], int]:
         """Pixel fraction of each class `(8,)`, and the number of images that they are from.

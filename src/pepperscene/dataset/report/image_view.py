@@ -18,6 +18,7 @@ from pepperscene.dataset.report.colours import (
     jpeg_data_uri,
     png_data_uri,
 )
+from pepperscene.dataset.report.label_regions import packed_labels
 from pepperscene.dataset.report.markup import Html, element, fragment, joined
 
 TITLES: Final[Mapping[str, str]] = {
@@ -34,6 +35,13 @@ TABLE_COLUMNS: Final = (
 )
 
 _MOST_RELATIVES: Final = 12  # chosen: links below an image; some lines on a phone
+_IMAGES_LENGTH: Final = 11_500_000
+"""Characters of all images of a page. Chosen: with all the rest, a page stays below 15 MB."""
+_LABELS_PART, _DISTANCE_PART = 0.5, 0.2
+"""Parts of an image's characters that its labels and its distances may take. Chosen: labels stay complete in
+pages of 100 frames of 800 x 600 pixels."""
+_PLACEHOLDER: Final = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
+"""One transparent pixel: images of labels until the page's script draws them."""
 _LABELS: Final = {"colour": "Colour", "class": "Class", "instance": "Instance", "distance": "Distance"}
 
 
@@ -46,6 +54,8 @@ class ImageView:
     panels: Mapping[str, NDArray[np.uint8]]  # (h, w, 3) by the keys of `TITLES`, in their order
     class_pixels: Mapping[OrganClass, int]  # empty without labels
     area: int  # number of all pixels, labelled or not
+    labels: str | None = None  # as of `packed_labels`
+    max_length: int | None = None  # of all its data in the page, characters
 
     @property
     def is_frame(self) -> bool:
@@ -76,8 +86,20 @@ class ImageView:
         return None if pose is None else float(pose[2][3])
 
 
-def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
-    """The view of an image; `near_m` and `far_m` are the distances of the brightest and darkest colour."""
+def max_image_length(images: int) -> int:
+    """Characters that each of some images may take in a page."""
+    return _IMAGES_LENGTH // max(images, 1)
+
+
+def image_view(image: LabelledImage, near_m: float, far_m: float, max_length: int | None = None) -> ImageView:
+    """The view of an image.
+
+    Args:
+        image: with what is to be shown.
+        near_m: distance of the brightest colour, metres.
+        far_m: distance of the darkest colour, metres.
+        max_length: characters of its data in the page: quality and size are reduced to keep it.
+    """
     panels: dict[str, NDArray[np.uint8]] = {}
     class_pixels: dict[OrganClass, int] = {}
     if image.colour is not None:
@@ -91,7 +113,8 @@ def image_view(image: LabelledImage, near_m: float, far_m: float) -> ImageView:
     if image.distance_m is not None:
         panels["distance"] = distance_colours(image.distance_m, near_m, far_m)
     height, width = image.size
-    return ImageView(image.name, image.metadata, panels, class_pixels, height * width)
+    labels = packed_labels(image, None if max_length is None else round(_LABELS_PART * max_length))
+    return ImageView(image.name, image.metadata, panels, class_pixels, height * width, labels, max_length)
 
 
 @dataclass(frozen=True)
@@ -114,7 +137,7 @@ def card_html(view: ImageView, set_key: str, relatives: Sequence[Relative] = ())
 
     `relatives` that the page shows are links; the others are only named.
     """
-    buttons = [_panel_button(view, key) for key in view.panels]
+    buttons = _panel_buttons(view)
     # Two panels have the same size; of more, the first is large and the others are small below it.
     images = joined(buttons)
     if len(buttons) > 2:
@@ -123,7 +146,9 @@ def card_html(view: ImageView, set_key: str, relatives: Sequence[Relative] = ())
         images = element("div", images, class_="thumbs")
     lines = joined(element("p", line) for line in (view.location, _describe_organs(view)) if line)
     content = (images, _class_bar(view), element("h3", view.title), lines, _links(relatives, set_key))
-    return element("article", *content, class_="card", id=_card_id(view.name, set_key))
+    return element(
+        "article", *content, class_="card", id=card_id(view.name, set_key), data_labels=view.labels
+    )
 
 
 def _links(relatives: Sequence[Relative], set_key: str) -> Html:
@@ -131,7 +156,7 @@ def _links(relatives: Sequence[Relative], set_key: str) -> Html:
     if not relatives:
         return fragment()
     names = [
-        element("a", item.name, href=f"#{_card_id(item.name, set_key)}") if item.is_shown else item.name
+        element("a", item.name, href=f"#{card_id(item.name, set_key)}") if item.is_shown else item.name
         for item in relatives[:_MOST_RELATIVES]
     ]
     texts = [fragment(name, f" ({item.difference})") for name, item in zip(names, relatives, strict=False)]
@@ -153,10 +178,12 @@ def table_row(view: ImageView, set_key: str) -> tuple[Html, list[str]]:
         *(f"{100 * count / view.area:.2f}" for count in view.class_pixels.values()),
     ]
     cells += [""] * (len(TABLE_COLUMNS) - 1 - len(cells))
-    return element("a", view.name, href=f"#{_card_id(view.name, set_key)}"), cells
+    return element("a", view.name, href=f"#{card_id(view.name, set_key)}"), cells
 
 
-def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "") -> Html:
+def image_button(
+    kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "", *, has_overlay: bool = False
+) -> Html:
     """An image that opens large on click.
 
     Args:
@@ -165,9 +192,13 @@ def image_button(kind: str, uri: str, alt: str, size: tuple[int, int], label: st
         alt: its description.
         size: width and height in pixels.
         label: text below the image.
+        has_overlay: whether the page's script can draw labels over it.
     """
     width, height = size
     image = element("img", src=uri, class_=kind, data_kind=kind, alt=alt, width=width, height=height)
+    if has_overlay:
+        canvas = element("canvas", class_="overlay", aria_hidden="true")
+        image = element("span", image, canvas, class_="layers")
     below = element("span", label) if label else ""
     return element("button", image, below, type="button", class_="picture", aria_label=f"{alt}: open large")
 
@@ -182,18 +213,32 @@ def css_colour(rgb: tuple[int, int, int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
-def _card_id(name: str, set_key: str) -> str:
+def card_id(name: str, set_key: str) -> str:
     """An id without spaces, which differs for every name."""
     codes = (letter if letter.isalnum() else f"-{ord(letter):x}-" for letter in name)
     return f"{set_key}-{''.join(codes)}"
 
 
-def _panel_button(view: ImageView, key: str) -> Html:
+def _panel_buttons(view: ImageView) -> list[Html]:
+    """The panels of an image; labels and distances first limit what is left for the photograph."""
+    uris = dict.fromkeys(view.panels, _PLACEHOLDER)
+    limit = view.max_length
+    if "distance" in view.panels:
+        part = None if limit is None else round(_DISTANCE_PART * limit)
+        uris["distance"] = png_data_uri(view.panels["distance"], max_length=part)
+    if "colour" in view.panels:
+        others = len(view.labels or "") + len(uris.get("distance", ""))
+        uris["colour"] = jpeg_data_uri(view.panels["colour"], None if limit is None else limit - others)
+    return [_panel_button(view, key, uri) for key, uri in uris.items()]
+
+
+def _panel_button(view: ImageView, key: str, uri: str) -> Html:
     panel = view.panels[key]
-    uri = jpeg_data_uri(panel) if key == "colour" else png_data_uri(panel)
     is_large = next(iter(view.panels)) == key and len(view.panels) != 2
     alt = f"{TITLES[key]} of {'frame ' if view.is_frame else ''}{view.name}"
-    return image_button(key, uri, alt, (panel.shape[1], panel.shape[0]), "" if is_large else _LABELS[key])
+    label = "" if is_large else _LABELS[key]
+    has_overlay = key == "colour" and view.labels is not None
+    return image_button(key, uri, alt, (panel.shape[1], panel.shape[0]), label, has_overlay=has_overlay)
 
 
 def _class_bar(view: ImageView) -> Html:

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from html import escape
 from typing import Final, final
 
-_VOID: Final = frozenset({"br", "img"})
+_VOID: Final = frozenset({"br", "img", "input"})
 """The elements without an end tag, of those that the page uses."""
 
 

@@ -106,16 +106,17 @@ def legend_html(*, ignored: bool) -> Html:
     """The colours of the classes, and with `ignored` that of ignored pixels."""
     entries = [element("span", swatch(organ), organ.name.lower()) for organ in OrganClass]
     if ignored:
-        entries.append(element("span", _patch(css_colour(IGNORE_COLOUR)), "ignored"))
-    return joined(entries, " ")
+        entries.append(element("span", colour_patch(css_colour(IGNORE_COLOUR)), "ignored"))
+    return element("p", joined(entries, " "), class_="legend")
 
 
 def swatch(organ_class: OrganClass) -> Html:
     """A patch of a class's colour."""
-    return _patch(class_colour_code(organ_class))
+    return colour_patch(class_colour_code(organ_class))
 
 
-def _patch(colour: str) -> Html:
+def colour_patch(colour: str) -> Html:
+    """A patch of a colour in CSS."""
     patch = element("rect", width=10, height=10, rx=2, fill=colour)
     return element("svg", patch, class_="swatch", viewBox="0 0 10 10", aria_hidden="true")
 

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from pepperscene.dataset.readers import RenderedSet, open_images
 from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
-from pepperscene.dataset.recipe.exposure import AUTO
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.report import sections
 from pepperscene.dataset.report.build_section import build_html
@@ -25,25 +24,34 @@ from pepperscene.dataset.report.data import (
     frame_records,
     image_statistics,
 )
+from pepperscene.dataset.report.facts import facts_html
 from pepperscene.dataset.report.image_view import (
     TABLE_COLUMNS,
     Relative,
     card_html,
     image_view,
+    max_image_length,
     table_row,
 )
 from pepperscene.dataset.report.markup import Html, as_html, csp_hash, element, fragment, joined
 from pepperscene.dataset.report.moments import Moments, displayed_positions
+from pepperscene.dataset.report.scene_view import NO_SCENE, SceneView, scene_view
+from pepperscene.dataset.report.switches import switches_html
 from pepperscene.dataset.report.variation import variation_html, variation_link
 from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.crop import crop_name, cultivar_names
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.fields import has_ignored_pixels, read_info
 from pepperscene.dataset.store.frame_json import DIGITS
-from pepperscene.dataset.store.recorded_values import is_varied
 from pepperscene.errors import InputError, OutputError
 
 PAGE, SHEET = "index.html", "contact_sheet.png"
+
+_OVERLAY_NOTE: Final = (
+    " The switches below draw labels over the photographs; each has a key. Of the keypoints of fruit, a "
+    "square is the cut point, a triangle the end at the stalk, and a disc the blossom end; hidden ones are "
+    "hollow."
+)
 
 DEFAULT_LIMIT: Final = 12
 """Chosen: three or four rows of cards on a wide screen."""
@@ -61,6 +69,7 @@ class ReportFiles:
         shown: frames that the page shows.
         measured: frames whose images were measured.
         frames: of the data set.
+        missing_scene: why the page has no 3D view although one was asked for; empty otherwise.
     """
 
     page: Path
@@ -68,6 +77,7 @@ class ReportFiles:
     shown: int
     measured: int
     frames: int
+    missing_scene: str = ""
 
 
 def write_report(
@@ -76,6 +86,7 @@ def write_report(
     beside: str | Path | ImageSet | None = None,
     *,
     sample: int = DEFAULT_SAMPLE,
+    scene: bool = False,
     on_progress: OnProgress | None = None,
 ) -> ReportFiles:
     """Write `contact_sheet.png` and `index.html` into a data set's folder, from the frames that exist.
@@ -89,6 +100,8 @@ def write_report(
         beside: a second set to compare with: an image set, or the folder of one: another data set, the
             published one, or any folder of images with masks (see `open_images`).
         sample: maximum number of frames measured of each set, evenly spaced.
+        scene: whether the page has a 3D view of the first shown frame's scene with its cameras. The plants
+            are grown for it, which takes seconds. If that is not possible, the page says why.
         on_progress: called after each measured image with their number and that of all images to measure.
 
     Raises:
@@ -97,7 +110,8 @@ def write_report(
     """
     dataset = open_dataset(folder)
     info = read_info(dataset)
-    image_sets: list[ImageSet] = [RenderedSet.from_dataset(dataset)]
+    first_set = RenderedSet.from_dataset(dataset)
+    image_sets: list[ImageSet] = [first_set]
     if beside is not None:
         image_sets.append(beside if isinstance(beside, ImageSet) else open_images(beside))
 
@@ -109,11 +123,15 @@ def write_report(
     far = max((pair[1] for pair in known), default=1.0)
 
     sets, sheet_rows = [], []
+    max_length = max_image_length(sum(map(len, positions)))
     for key, images, displayed in zip("ab", image_sets, positions, strict=False):
-        summary, rows = _summarize(key, images, displayed, sample, (near, far), on_progress)
+        summary, rows = _summarize(key, images, displayed, sample, (near, far), max_length, on_progress)
         sets.append(summary)
         sheet_rows.append(rows)
-    text = _page_html(info, sets, (near, far) if known else None)
+    view = (
+        scene_view(dataset, [first_set.items[position] for position in positions[0]]) if scene else NO_SCENE
+    )
+    text = _page_html(info, sets, (near, far) if known else None, view)
     page, sheet = dataset.folder / PAGE, dataset.folder / SHEET
     try:
         with atomic_write(sheet) as temporary:
@@ -124,7 +142,9 @@ def write_report(
     except OSError as error:
         raise OutputError(f"{folder}: the report cannot be written ({error.strerror or error})") from None
     first = sets[0]
-    return ReportFiles(page, sheet, len(first.cards), first.statistics.image_count, first.frames)
+    return ReportFiles(
+        page, sheet, len(first.cards), first.statistics.image_count, first.frames, view.missing
+    )
 
 
 def _summarize(
@@ -133,26 +153,30 @@ def _summarize(
     positions: list[int],
     sample: int,
     distances_m: tuple[float, float],
+    max_length: int,
     on_progress: OnProgress | None,
 ) -> tuple[SetSummary, list[SheetRow]]:
     """Summary of a set, and rows of the contact sheet; one image is in memory at a time."""
     sheet_positions = {positions[number] for number in evenly_spaced(len(positions), MAX_ROWS)}
-    cards, table_rows, sheet_rows = [], [], []
+    cards, table_rows, sheet_rows, has_labels = [], [], [], False
     moments = Moments.of_images(images)
     names = images.names()
     displayed = {names[position] for position in positions}
     for position in positions:
-        view = image_view(_visible_image(images, position), *distances_m)
+        view = image_view(_visible_image(images, position), *distances_m, max_length)
         relatives = [] if moments is None else moments.relatives(position)
         named = [(f"{index:0{DIGITS}d}", difference) for index, difference in relatives]
         links = [Relative(name, difference, name in displayed) for name, difference in named]
         cards.append(card_html(view, key, links))
         table_rows.append(table_row(view, key))
+        has_labels = has_labels or view.labels is not None
         if key == "a" and position in sheet_positions:
             sheet_rows.append(sheet_row(view))
     records = frame_records(images.dataset) if isinstance(images, RenderedSet) else None
     statistics = image_statistics(images, sample, on_progress)
-    summary = SetSummary(key, images.name, len(images), statistics, records, tuple(cards), tuple(table_rows))
+    summary = SetSummary(
+        key, images.name, len(images), statistics, records, tuple(cards), tuple(table_rows), has_labels
+    )
     return summary, sheet_rows
 
 
@@ -166,7 +190,10 @@ def _visible_image(images: ImageSet, position: int) -> LabelledImage:
 
 
 def _page_html(
-    info: Mapping[str, Any], sets: Sequence[SetSummary], distances_m: tuple[float, float] | None
+    info: Mapping[str, Any],
+    sets: Sequence[SetSummary],
+    distances_m: tuple[float, float] | None,
+    scene: SceneView,
 ) -> str:
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
     recipe, cultivars = info["recipe"], cultivar_names(info)
@@ -186,20 +213,26 @@ def _page_html(
         near, far = (element("span", f"{distance:.2f} m") for distance in distances_m)
         ramp = element("p", near, element("i", class_="back"), far, class_="ramp")
     variation = variation_html(sets)
-    # The policy allows exactly this style and this script.
+    has_labels, ignored = any(item.has_labels for item in sets), has_ignored_pixels(info)
+    # The policy allows exactly this style and these scripts.
     style = Template(_read_resource("page.css")).substitute(ramp=", ".join(VIRIDIS))
-    script = _read_resource("page.js")
+    files = ["overlays.js", "page.js", *(["scene.js"] if scene.library else [])]
+    script = Html("\n".join(map(_read_resource, files)))
+    scripts = [scene.library, script] if scene.library else [script]
     contents: dict[str, str] = {
         "style": Html(style),
         "style_hash": csp_hash(style),
-        "script": Html(script),
-        "script_hash": csp_hash(script),
+        "scripts": joined(element("script", text) for text in scripts),
+        "script_hashes": joined(map(csp_hash, scripts), " "),
         "name": str(recipe["name"]),
         "crop": crop_name(info),
         "cultivar": f"cultivar{'s' if len(cultivars) > 1 else ''} {', '.join(cultivars)}",
         "summary": joined(summary, " "),
-        "facts": _facts_html(info),
-        "classes": sections.legend_html(ignored=has_ignored_pixels(info)),
+        "facts": facts_html(info),
+        "overlay_note": _OVERLAY_NOTE if has_labels else "",
+        "classes": (switches_html if has_labels else sections.legend_html)(ignored=ignored),
+        "scene": scene.section,
+        "scene_link": element("a", "Scene", href="#scene") if scene.section else "",
         "distances": ramp,
         "frames": joined(_frames_html(item, single=len(sets) == 1) for item in sets),
         "fractions": sections.class_fractions_html(sets),
@@ -217,52 +250,6 @@ def _page_html(
 
 def _read_resource(name: str) -> str:
     return resources.files("pepperscene.dataset.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _facts_html(info: Mapping[str, Any]) -> Html:
-    recipe = info["recipe"]
-    items = {
-        "Quality": info["quality"],
-        "Seed": recipe["seed"],
-        "Plan": _describe_plan(recipe["plan"]),
-        "Rows": _describe_rows(info),
-        "Exposure": _describe_exposure(info),
-        "Daylight": _describe_daylight(info),
-        "Version": info["version"],
-        "Recipe SHA-256": info["recipe_sha256"][:12] + "…",
-    }
-    return joined(
-        element("div", element("dt", key), element("dd", str(value))) for key, value in items.items()
-    )
-
-
-def _describe_rows(info: Mapping[str, Any]) -> str:
-    plants, spacing = "{plants_front} + {plants_back} plants", "{spacing_mm:g} mm apart"
-    if is_varied(info, "row.plants_front", "row.plants_back"):
-        plants = "varied number of plants"
-    if is_varied(info, "row.spacing_mm"):
-        spacing = "varied spacing"
-    return f"{plants}, {spacing}".format(**info["recipe"]["row"])
-
-
-def _describe_exposure(info: Mapping[str, Any]) -> str:
-    if is_varied(info, "camera.exposure_us"):
-        return "varied"
-    exposure = info["recipe"]["camera"]["exposure_us"]
-    return "automatic" if exposure == AUTO else f"{exposure:g} µs"
-
-
-def _describe_daylight(info: Mapping[str, Any]) -> str:
-    if is_varied(info, "daylight.illuminance_lx"):
-        return "varied"
-    daylight = info["recipe"]["daylight"] or {"illuminance_lx": 0}
-    return f"{daylight['illuminance_lx']:,.0f} lx"
-
-
-def _describe_plan(plan: Mapping[str, Any]) -> str:
-    factors = ["{sets} sets", "{rotations} rotations", "{frames} steps"]
-    factors += [f"{{{name}}} {name}" for name in ("twins", "cameras") if plan.get(name, 1) > 1]
-    return " × ".join(factors).format(**plan)
 
 
 def _frames_html(item: SetSummary, single: bool) -> Html:
