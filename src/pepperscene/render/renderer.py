@@ -175,13 +175,13 @@ class Renderer:
         alone: int | None = None,
     ) -> NDArray[np.bool_]:
         """`(n,)` whether `(n, 3)` points are in a camera's image and not hidden; see `PointTest`."""
-        from pepperscene.render.visibility import organ_scene, visible_points
+        from pepperscene.render.visibility import visible_points
 
         if alone is None:
             return visible_points(
                 self._kernel.truth_scene(), self._kernel.coordinates, camera, points, normals
             )
-        organ = organ_scene(self.scene.mesh, alone, self._kernel.coordinates)
+        organ = self._organs.of([alone])[alone].scene
         return visible_points(organ, self._kernel.coordinates, camera, points, normals, has_borders=False)
 
     def meter(

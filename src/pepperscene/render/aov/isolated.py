@@ -14,7 +14,6 @@ from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays
-from pepperscene.render.kernel.scene import mitsuba_mesh
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.truth.amodal import AmodalMask
 from pepperscene.truth.encodings import Box
@@ -32,9 +31,15 @@ class IsolatedOrgan:
 
     @cached_property
     def scene(self) -> Any:
-        """The Mitsuba scene of this organ; made when it first comes into view."""
-        shape = mitsuba_mesh(self.mesh, coordinates=self.coordinates)
-        return mitsuba_modules()[0].load_dict({"type": "scene", "organ": shape})
+        """The Mitsuba scene of its triangles, without what shading needs; made when it is first used."""
+        mi, _ = mitsuba_modules()
+        shape = mi.Mesh("organ", len(self.mesh.vertices), len(self.mesh.faces))
+        params = mi.traverse(shape)
+        vertices = self.coordinates.vertices(self.mesh)
+        params["vertex_positions"] = np.ascontiguousarray(vertices, np.float32).ravel()
+        params["faces"] = np.ascontiguousarray(self.mesh.faces, np.uint32).ravel()
+        params.update()
+        return mi.load_dict({"type": "scene", "organ": shape})
 
     def box(self, camera: Camera) -> Box | None:
         """The part of the image that contains all rays that can hit the organ; None if there is none."""
@@ -141,10 +146,8 @@ def _batches(boxes: dict[int, Box]) -> Iterator[list[int]]:
 
 def hit_masks(organs: Sequence[tuple[IsolatedOrgan, Box]], rays: CameraRays) -> list[NDArray[np.bool_]]:
     """`(y1 - y0, x1 - x0)` for each organ and box: whether rays through the pixels' centres hit the organ."""
-    _, dr = mitsuba_modules()
-    # Start all kernels before waiting for the first.
+    # The first is waited for when all kernels are started.
     hits = [_hits_in_box(organ, box, rays) for organ, box in organs]
-    dr.eval(hits)
     return [
         np.array(hit).astype(bool).reshape(y1 - y0, x1 - x0)
         for hit, (_, (x0, y0, x1, y1)) in zip(hits, organs, strict=True)
@@ -163,5 +166,6 @@ def _hits_in_box(organ: IsolatedOrgan, box: Box, rays: CameraRays) -> Any:
     origin, direction = rays.centre_rays(column, row + top, mi.Float(0.5), mi.Float(0.5))
     hit = organ.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
     is_hit = dr.select(hit.is_valid(), mi.UInt32(1), mi.UInt32(0))
-    dr.schedule(is_hit)
+    # One by one: boxes of equal size would become one kernel, which is compiled for each number of them.
+    dr.eval(is_hit)
     return is_hit
