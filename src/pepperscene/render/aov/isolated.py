@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -20,6 +20,9 @@ from pepperscene.truth.encodings import Box
 
 _BOX_MARGIN: Final = 2  # chosen: pixels; a lens bends the lines between projected vertices by less
 _BATCH: Final = 1 << 22  # chosen: rays whose kernels are started before the first is waited for, 16 MB
+_PROJECTED: Final = 1 << 16  # chosen: vertices that are projected at a time, 8 MB
+_MOST_KEPT: Final = 4096
+"""Chosen: organs that are kept between frames. Each takes 25 KB, and a row has fewer that come into view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,21 +43,6 @@ class IsolatedOrgan:
         params["faces"] = np.ascontiguousarray(self.mesh.faces, np.uint32).ravel()
         params.update()
         return mi.load_dict({"type": "scene", "organ": shape})
-
-    def box(self, camera: Camera) -> Box | None:
-        """The part of the image that contains all rays that can hit the organ; None if there is none."""
-        pixels = camera.project(self.mesh.vertices)
-        finite = np.isfinite(pixels).all(axis=1)
-        if not finite.any():
-            return None
-        if not finite.all():
-            # It reaches behind the camera or beyond the field of the lens: any ray may hit it.
-            return 0, 0, camera.width, camera.height
-        low = np.floor(pixels.min(axis=0)).astype(np.intp) - _BOX_MARGIN
-        high = np.ceil(pixels.max(axis=0)).astype(np.intp) + _BOX_MARGIN
-        x0, y0 = np.maximum(low, 0).tolist()
-        x1, y1 = np.minimum(high, [camera.width, camera.height]).tolist()
-        return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
 
 class IsolatedOrgans:
@@ -93,8 +81,11 @@ class IsolatedOrgans:
             instance: `(h, w)` its instance image.
         """
         organs = self.of(instances)
-        boxes = {index: box for index, organ in organs.items() if (box := organ.box(camera)) is not None}
-        for batch in _batches(boxes):
+        if len(self._organs) > _MOST_KEPT:
+            self._organs = {**organs}
+        boxes = dict(_find_boxes(organs, camera))
+        pixels = {index: (x1 - x0) * (y1 - y0) for index, (x0, y0, x1, y1) in boxes.items()}
+        for batch in _batches(pixels, _BATCH):
             masks = hit_masks([(organs[index], boxes[index]) for index in batch], rays)
             for index, mask in zip(batch, masks, strict=True):
                 amodal = AmodalMask(boxes[index][:2], mask)
@@ -129,17 +120,40 @@ class IsolatedOrgans:
         return IsolatedOrgan(part, self._coordinates)
 
 
-def _batches(boxes: dict[int, Box]) -> Iterator[list[int]]:
-    """The keys of boxes, in order, in groups of at most `_BATCH` pixels, or of one box."""
+def _find_boxes(organs: Mapping[int, IsolatedOrgan], camera: Camera) -> Iterator[tuple[int, Box]]:
+    """Yield each organ with the part of the image that contains all rays that can hit it, if there is any."""
+    sizes = {index: len(organ.mesh.vertices) for index, organ in organs.items()}
+    for batch in _batches(sizes, _PROJECTED):
+        # Many organs in one call, which costs as much as its points only if there are many.
+        pixels = camera.project(np.concatenate([organs[index].mesh.vertices for index in batch]))
+        first = np.cumsum([0, *(sizes[index] for index in batch)])[:-1]
+        # Extremes are nan where a vertex has no pixel.
+        lows, highs = (extreme.reduceat(pixels, first, axis=0) for extreme in (np.minimum, np.maximum))
+        is_seen = np.logical_or.reduceat(np.isfinite(pixels).all(axis=1), first)
+        for index, low, high, seen in zip(batch, lows, highs, is_seen, strict=True):
+            if not np.isfinite([low, high]).all():
+                # It reaches behind the camera or beyond the field of the lens: any ray may hit it.
+                if seen:
+                    yield index, (0, 0, camera.width, camera.height)
+                continue
+            x0, y0 = np.maximum(np.floor(low).astype(np.intp) - _BOX_MARGIN, 0).tolist()
+            x1, y1 = np.minimum(
+                np.ceil(high).astype(np.intp) + _BOX_MARGIN, [camera.width, camera.height]
+            ).tolist()
+            if x0 < x1 and y0 < y1:
+                yield index, (x0, y0, x1, y1)
+
+
+def _batches(sizes: Mapping[int, int], most: int) -> Iterator[list[int]]:
+    """The keys of sizes, in order, in groups with a sum of at most `most`, or of one."""
     group: list[int] = []
     total = 0
-    for index, (x0, y0, x1, y1) in boxes.items():
-        pixels = (x1 - x0) * (y1 - y0)
-        if group and total + pixels > _BATCH:
+    for index, size in sizes.items():
+        if group and total + size > most:
             yield group
             group, total = [], 0
         group.append(index)
-        total += pixels
+        total += size
     if group:
         yield group
 
