@@ -1,4 +1,4 @@
-"""Ground truth: encodings of labels and their inverses, harvest truth, and statistics of labelled images."""
+"""Ground truth: encodings of labels, amodal masks, harvest truth, and statistics of labelled images."""
 
 from pepperscene.truth.encodings import (
     class_colour,
