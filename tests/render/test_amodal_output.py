@@ -115,13 +115,18 @@ def test_view_without_organs_has_none():
     assert entries == {}
 
 
-def test_many_organs_take_several_batches(monkeypatch):
-    meshes = [pixels_card(8 * k, 0, 8 * k + 16, 48, 0.3 + 0.05 * k) for k in range(6)]
-    whole, _ = amodal_of(concatenate_meshes(meshes))
-    monkeypatch.setattr(isolated, "_BATCH", 1000)
-    divided, _ = amodal_of(concatenate_meshes(meshes))
-    assert divided == whole
-    assert len(whole) == 6
+@pytest.mark.parametrize("limit", ["_BATCH", "_PROJECTED", "_MOST_KEPT"])
+def test_many_organs_are_divided(limit, monkeypatch):
+    scene = assemble_scene(
+        concatenate_meshes([pixels_card(8 * k, 0, 8 * k + 16, 48, 0.3 + 0.05 * k) for k in range(6)])
+    )
+    views = [VIEW, replace(VIEW, sensor=replace(VIEW.sensor, columns=30)), VIEW]
+    renderer = Renderer(scene)
+    whole = [renderer.render(view, ["amodal"])["amodal"] for view in views]
+    monkeypatch.setattr(isolated, limit, 5)
+    renderer = Renderer(scene)
+    assert [renderer.render(view, ["amodal"])["amodal"] for view in views] == whole
+    assert [len(one["organs"]) for one in whole] == [6, 4, 6]
 
 
 def test_any_number_of_boxes_of_equal_size_compiles_nothing():

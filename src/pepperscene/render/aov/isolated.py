@@ -82,6 +82,7 @@ class IsolatedOrgans:
         """
         organs = self.of(instances)
         if len(self._organs) > _MOST_KEPT:
+            # Forget those of other views.
             self._organs = {**organs}
         boxes = dict(_find_boxes(organs, camera))
         pixels = {index: (x1 - x0) * (y1 - y0) for index, (x0, y0, x1, y1) in boxes.items()}
