@@ -24,7 +24,8 @@ class Output:
             H rows and W columns of photosites. Empty for a JSON object.
         dtype: of the array; "dict" for a JSON object.
         description: one line for users.
-        traced: whether it needs light transport; otherwise rays through the pixel centres suffice.
+        traced: whether it needs light transport; otherwise rays through the pixels suffice.
+        shows_surfaces: whether it needs the spectra of the surfaces, as all traced outputs do.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Output:
     dtype: str
     description: str
     traced: bool = False
+    shows_surfaces: bool = False
 
     @property
     def is_image(self) -> bool:
@@ -89,12 +91,28 @@ _ALL: Final = (
     Output("stereo", "(h, w, 3)", "float32", "pixel displacement to the stereo camera, and visibility in it"),
     Output("colour_stereo", "(h, w, 3)", "uint8", "developed photograph of the stereo camera", traced=True),
     Output("harvest", "", "dict", "masks, pose, ripeness, cut point and approach of each fruit in view"),
+    Output(
+        "amodal", "", "dict", "masks of all visible organs with their hidden parts, and visible fractions"
+    ),
+    Output(
+        "albedo",
+        "(h, w, c)",
+        "float16",
+        "diffuse reflectance as the camera develops it, linear sRGB; background 0",
+        shows_surfaces=True,
+    ),
 )
 OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
 """All outputs by name, in canonical order."""
 
 STEREO_OUTPUTS: Final = frozenset({"stereo", "colour_stereo"})
 """Outputs that need a stereo camera."""
+
+
+def needs_surfaces(names: Iterable[str]) -> bool:
+    """Whether one of these outputs needs the spectra of a scene's surfaces."""
+    return any(OUTPUTS[name].traced or OUTPUTS[name].shows_surfaces for name in names)
+
 
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")
 
@@ -128,7 +146,8 @@ class Frame:
     """One rendered view.
 
     Attributes:
-        images: array by output name, as described in `OUTPUTS`; a JSON-ready object for "harvest".
+        images: array by output name, as described in `OUTPUTS`; a JSON-ready object for "harvest" and
+            "amodal".
         metadata: JSON-ready description: camera pose, intrinsics, distortion, exposure, variant, versions,
             and the instances in view.
     """

@@ -14,6 +14,7 @@ from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.frame import Frame
 from pepperscene.truth import class_colour, distance_code
+from pepperscene.truth.encodings import encode_rle
 
 HEIGHT, WIDTH = 150, 200
 FAR_M = 3.0
@@ -71,7 +72,10 @@ class DiscRenderer:
             "flow": np.stack([np.full(hit.shape, np.nan)] * 2 + [np.zeros(hit.shape)], -1).astype(np.float32),
             "stereo": np.stack([hit * 0 + 5, hit * 0, columns < WIDTH - 5], -1).astype(np.float32),
             "harvest": {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}},
+            "albedo": np.clip(grey / 255, 0, 1).astype(np.float16),
         }  # fmt: skip
+        if "amodal" in outputs:
+            images["amodal"] = {"format": "pepperscene amodal 1", "organs": whole_discs(instance, classes)}
         metadata = {
             "camera": {**camera.metadata(), "width": WIDTH, "height": HEIGHT, "binning": 2, "bits": 10},
             "instances": instance_entries(instance, classes),
@@ -92,6 +96,19 @@ def instance_entries(instance, classes):
             "box": [int(edge) for edge in box],
         }
     return entries
+
+
+def whole_discs(instance, classes):
+    """Amodal masks of discs that are where they are visible only."""
+    organs = []
+    for number, entry in instance_entries(instance, classes).items():
+        pixels, box = entry["pixels"], entry["box"]
+        organs.append({
+            "instance": int(number), "class": entry["class"], "kind": entry["kind"], "box": box,
+            "amodal_box": box, "visible_pixels": pixels, "amodal_pixels": pixels, "visible_fraction": 1.0,
+            "truncated": False, "occluders": [], "amodal": encode_rle(instance == int(number)),
+        })  # fmt: skip
+    return organs
 
 
 def make_disc_set(folder, outputs):

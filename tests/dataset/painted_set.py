@@ -26,7 +26,7 @@ class Painter:
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         rng = np.random.default_rng(seed)
-        instance, entries, fruit_masks = paint(rng)
+        instance, entries, masks = paint(rng)
         pixels = np.bincount(instance.ravel(), minlength=65536)
         visible = {
             value: {**entry, "pixels": int(pixels[value])}
@@ -44,8 +44,10 @@ class Painter:
             "instance": instance,
             "distance": distance,
             "distance_code": distance_code(distance),
-            "harvest": harvest(rng, visible, fruit_masks),
+            "harvest": harvest(rng, visible, {v: m for v, m in masks.items() if entries[v]["class"] == 2}),
         }
+        if "amodal" in outputs:
+            images["amodal"] = amodal(instance, visible, masks)
         instances = {str(value): entry for value, entry in visible.items()}
         size = {"width": SIZE[1], "height": SIZE[0]}
         metadata = {"camera": {**camera.metadata(), **size}, "instances": instances}
@@ -53,7 +55,7 @@ class Painter:
 
 
 def paint(rng):
-    """An instance image, the entry of each instance, and the masks of fruit with their hidden pixels."""
+    """An instance image, the entry of each instance, and the masks of organs with their hidden pixels."""
     instance = np.zeros(SIZE, np.uint16)
     instance[-20:] = FLOOR
     entries = {
@@ -61,7 +63,7 @@ def paint(rng):
         WIRE: {"class": 6, "kind": "crop_wire", "plant": -1, "phytomer": -1, "parent": 0},
     }
     values = rng.choice(np.arange(1, WIRE), 340, replace=False)
-    fruit_masks = {}
+    masks = {}
 
     def add(value, mask, organ_class, parent=0):
         instance[mask] = value
@@ -69,8 +71,7 @@ def paint(rng):
             "class": organ_class, "kind": KINDS[organ_class], "plant": int(value) % 3,
             "phytomer": int(rng.integers(20)), "parent": int(parent),
         }  # fmt: skip
-        if organ_class == 2:
-            fruit_masks[int(value)] = mask
+        masks[int(value)] = mask
 
     # More organs than a byte can count, of a few pixels each.
     for k, value in enumerate(values[40:]):
@@ -91,7 +92,7 @@ def paint(rng):
         mask = _draw(cv2.line, (column, 0), (SIZE[1] - column, SIZE[0]), 1, 2 + k % 3)
         add(value, mask, 4 + k % 4)
     instance[_draw(cv2.line, (0, 25), (SIZE[1], 40), 1, 3)] = WIRE
-    return instance, entries, fruit_masks
+    return instance, entries, masks
 
 
 def harvest(rng, visible, fruit_masks):
@@ -114,6 +115,30 @@ def harvest(rng, visible, fruit_masks):
             "box": None, "amodal_box": [0, 0, 1, 1], "approach": None,
         })  # fmt: skip
     return {"format": "pepperscene harvest 1", "fruit": fruit, "graph": {"nodes": [], "edges": []}}
+
+
+def amodal(instance, visible, masks):
+    """The output `amodal` of all visible organs."""
+    organs = []
+    for value, mask in sorted(masks.items()):
+        if value not in visible:
+            continue
+        rows, columns = np.nonzero(mask)
+        own, pixels = visible[value], int(mask.sum())
+        occluders, counts = np.unique(instance[mask & (instance != value)], return_counts=True)
+        organs.append({
+            "instance": value, "class": own["class"], "kind": own["kind"], "box": None,
+            "amodal_box": [int(v) for v in (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)],
+            "visible_pixels": own["pixels"], "amodal_pixels": pixels,
+            "visible_fraction": own["pixels"] / pixels,
+            "truncated": bool(mask[[0, -1]].any() or mask[:, [0, -1]].any()),
+            "occluders": [
+                {"instance": v, "pixels": n}
+                for v, n in zip(occluders.tolist(), counts.tolist(), strict=True)
+            ],
+            "amodal": encode_rle(mask),
+        })  # fmt: skip
+    return {"format": "pepperscene amodal 1", "organs": organs}
 
 
 def end_point(rng, kind):

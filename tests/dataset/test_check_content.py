@@ -73,7 +73,8 @@ def test_finds_encodings_that_do_not_match(folder):
     [
         ("distance", np.nan), ("distance", -1.0), ("depth_z", np.nan), ("depth_z", 50.0), ("depth_z", 0.0),
         ("normal", np.nan), ("normal", 1.0), ("normal", 0.0), ("electrons", -1.0), ("electrons", np.nan),
-        ("electrons", np.inf), ("position", np.nan), ("position", 0.0), ("uv", 1.5), ("uv", -1.0),
+        ("electrons", np.inf), ("albedo", np.nan), ("albedo", np.inf),
+        ("position", np.nan), ("position", 0.0), ("uv", 1.5), ("uv", -1.0),
         ("uv", np.nan), ("coverage", 0.5), ("coverage", -1.0), ("coverage", np.nan), ("raw", 1024),
         ("flow", 1.0), ("stereo", np.nan),
     ],

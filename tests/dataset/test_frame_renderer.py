@@ -37,6 +37,14 @@ def test_frames_of_a_scene_share_its_renderer_and_differ_in_seed(
     assert seeds == [expected[:4], expected[4:]]
 
 
+def test_albedo_needs_surfaces_and_masks_of_whole_organs_do_not(renderer, recipe, fake_renderer):
+    for output in ("amodal", "albedo"):
+        renderer.render(recipe.plan.frame(0), [output], "draft")
+    masks, albedo = fake_renderer.created
+    assert masks.scene.surfaces == ()
+    assert {surface.name for surface in albedo.scene.surfaces} == set(albedo.scene.mesh.surfaces)
+
+
 def test_labels_need_no_surfaces_and_no_sky(renderer, recipe, fake_renderer):
     spec = recipe.plan.frame(0)
     for outputs in (LABELS, ("colour",), LABELS):

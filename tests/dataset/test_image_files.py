@@ -22,8 +22,8 @@ from pepperscene.frame import OUTPUTS
 
 def example(output):
     """Values that use the whole range of an output."""
-    if output == "harvest":
-        return {"format": "pepperscene harvest 1", "fruit": [{"instance": 3, "pose": [[1.0, 0.1]]}]}
+    if not OUTPUTS[output].is_image:
+        return {"format": f"pepperscene {output} 1", "fruit": [{"instance": 3, "pose": [[1.0, 0.1]]}]}
     rng = np.random.default_rng(3)
     shape = (37, 53, *OUTPUTS[output].channels[-1:])
     if OUTPUTS[output].dtype.startswith("float"):
@@ -41,7 +41,7 @@ def test_every_output_is_read_back_exactly_from_reproducible_bytes(tmp_path, out
     path, image = tmp_path / f"x{OUTPUTS[output].suffix}", example(output)
     write_image(path, image, output)
     content, result = path.read_bytes(), read_image(path)
-    if output == "harvest":
+    if not OUTPUTS[output].is_image:
         assert result == image
     else:
         assert result.dtype == image.dtype
@@ -56,7 +56,8 @@ def test_every_output_is_read_back_exactly_from_reproducible_bytes(tmp_path, out
         ("class", (), "u2"), ("class", (3,), "u1"), ("colour", (), "u1"), ("colour", (4,), "u1"),
         ("distance", (), "f8"), ("distance", (1,), "f4"), ("electrons", (), "f4"), ("electrons", (2,), "f4"),
         ("raw", (3,), "u2"), ("raw", (), "u1"), ("coverage", (8,), "f4"), ("coverage", (7,), "f2"),
-        ("uv", (3,), "f4"), ("flow", (2,), "f4"), ("harvest", (), "f4"),
+        ("uv", (3,), "f4"), ("flow", (2,), "f4"), ("harvest", (), "f4"), ("amodal", (), "u1"),
+        ("albedo", (3,), "f4"), ("albedo", (2,), "f2"), ("albedo", (), "f2"),
     ],
 )  # fmt: skip
 def test_rejects_arrays_that_do_not_fit_the_output(tmp_path, output, channels, dtype):
@@ -93,6 +94,7 @@ def test_objects_must_be_valid_json(tmp_path):
         ("distance", ["distance"]),
         ("depth_z", ["depth_z"]),
         ("electrons", ["R", "G", "B"]),
+        ("albedo", ["R", "G", "B"]),
         ("normal", ["X", "Y", "Z"]),
         ("position", ["X", "Y", "Z"]),
         ("uv", ["U", "V"]),
@@ -134,9 +136,10 @@ def test_coverage_is_compressed(tmp_path):
     assert (tmp_path / "x.exr").stat().st_size < 0.05 * image.nbytes
 
 
-def test_electrons_of_a_monochrome_sensor_have_one_channel(tmp_path):
-    path, image = tmp_path / "x.exr", example("electrons")[..., :1]
-    write_image(path, image, "electrons")
+@pytest.mark.parametrize("output", ["electrons", "albedo"])
+def test_measures_of_a_monochrome_sensor_have_one_channel(output, tmp_path):
+    path, image = tmp_path / "x.exr", example(output)[..., :1]
+    write_image(path, image, output)
     np.testing.assert_array_equal(read_image(path), image)
     with OpenEXR.File(str(path), separate_channels=True) as file:
         assert set(file.channels()) == {"Y"}

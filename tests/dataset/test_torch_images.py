@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import random  # noqa: TID251 - its state is compared
+import shutil
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -11,9 +13,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 from data_sets import set_without_plants
-from memory_set import SIZE, coded_arrays, coded_set, memory_set
+from memory_set import SIZE, coded_arrays, coded_set, image_of, memory_set
+from PIL import Image as Picture
 from processes import run_python
 
+from pepperscene.classes import OrganClass
+from pepperscene.dataset import export_dataset
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip
 from pepperscene.dataset.readers.torch_images import collate_detections, torch_detections, torch_images
@@ -173,6 +178,80 @@ def test_global_generators_are_given_back():
     for seed in (None, 3):
         torch_images(coded_set(), seed=seed, tensors="plain")[0]
     assert global_states() == before
+
+
+# Classes.
+
+
+def masks_of(dataset, **options):
+    samples = torch_images(dataset.folder, "mask", tensors="plain", **options)
+    return samples.classes, [samples[position]["mask"].numpy() for position in range(len(samples))]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"classes": "fruit=pepper,stalk=peduncle+stem"},
+        {"classes": "other=background+leaf+shoot,fruit=pepper"},
+        {"classes": "ripe=pepper.ripe,green=pepper.unripe,leaf"},
+        {"ripe_from": 0.4},
+    ],
+    ids=["merged", "with background", "ripeness", "threshold"],
+)
+def test_classes_are_those_of_the_semantic_export(options, labels, tmp_path):
+    folder = export_dataset(labels.folder, "semantic", tmp_path / "out", **options).folder
+    names, masks = masks_of(labels, **options)
+    table = json.loads((folder / "classes.json").read_text())["classes"]
+    assert names == tuple(one["name"] for one in table)
+    for index, mask in zip(labels.indices(), masks, strict=True):
+        with Picture.open(folder / "masks" / "train" / f"{index:06d}.png") as image:
+            np.testing.assert_array_equal(mask, np.asarray(image))
+        assert mask.dtype == np.int64
+
+
+def test_without_a_mapping_classes_are_class_ids(labels):
+    names, masks = masks_of(labels)
+    assert names == tuple(organ.name.lower() for organ in OrganClass)
+    np.testing.assert_array_equal(masks[0], labels.image(labels.indices()[0], "class"))
+
+
+def test_mapped_classes_of_any_images_are_augmented_and_keep_void():
+    arrays = coded_arrays()
+    arrays["mask"][0] = 255
+    images = memory_set(image_of(arrays))
+    flip = Augmentation((RandomFlip(probability=1.0),))
+    dataset = torch_images(images, classes="fruit=pepper+peduncle,leaf", augmentation=flip, tensors="plain")
+    expected = np.select(
+        [arrays["mask"] == 255, np.isin(arrays["mask"], (2, 3)), arrays["mask"] == 1], [255, 1, 2]
+    )
+    np.testing.assert_array_equal(dataset[0]["mask"].numpy(), expected[:, ::-1])
+    assert dataset.classes == ("background", "fruit", "leaf")
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"classes": "fruit=apple"}, "'apple' is none of background, leaf"),
+        ({"classes": "leaf,leaf"}, "leaf is named twice"),
+        ({"classes": "leaf", "ripe_from": 0.5}, "needs pepper as a class of its own"),
+        ({"ripe_from": 1.5}, "1.5 must be 0 to 1"),
+        ({"classes": "ripe=pepper.ripe"}, "memory does not know the ripeness of fruit"),
+    ],
+)
+def test_invalid_classes_are_refused(options, problem):
+    with pytest.raises(InputError, match=problem):
+        torch_images(coded_set(1), tensors="plain", **options)
+
+
+def test_ripeness_needs_the_output_harvest(labels, tmp_path):
+    folder = shutil.copytree(labels.folder, tmp_path / "set")
+    path = folder / "frames" / f"{labels.indices()[0]:06d}.json"
+    content = json.loads(path.read_text())
+    del content["outputs"]["harvest"]
+    path.write_text(json.dumps(content))
+    dataset = torch_images(folder, "mask", classes="ripe=pepper.ripe", tensors="plain")
+    with pytest.raises(InputError, match="has no output 'harvest', which ripe and unripe fruit need"):
+        dataset[0]
 
 
 # Samples.

@@ -16,7 +16,8 @@ from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
-ELSEWHERE = ("coverage", "flow", "stereo", "harvest")  # need more rays, or other cameras
+# These need more rays, or other cameras.
+ELSEWHERE = ("coverage", "flow", "stereo", "harvest", "amodal", "albedo")
 LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced and name not in ELSEWHERE)
 
 

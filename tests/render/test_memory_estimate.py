@@ -66,6 +66,8 @@ def test_memory_grows_with_triangles_outputs_and_photosites(camera):
         ((4096, 3072), ("uv",), "draft", 2344),
         ((4096, 3072), ("normal", "position", "depth_z"), "draft", 2360),
         ((3840, 2160), ("flow", "stereo"), "draft", 2497),
+        ((3840, 2160), ("albedo",), "draft", 1254),
+        ((3840, 2160), ("amodal",), "draft", 988),
     ],
 )
 def test_estimates_agree_with_measured_peaks(camera, size, outputs, quality, measured_mb):

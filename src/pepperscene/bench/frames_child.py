@@ -103,7 +103,7 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
     with timed(scene_times, "import"):
         import pepperscene as ps
         from pepperscene.dataset import FrameRenderer
-        from pepperscene.frame import OUTPUTS, check_outputs
+        from pepperscene.frame import OUTPUTS, check_outputs, needs_surfaces
         from pepperscene.render.variant import mitsuba_modules, variant_name
     with timed(scene_times, "start Mitsuba"):
         mitsuba_modules()
@@ -112,13 +112,12 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
     from pepperscene.bench.scenes import resize_camera
 
     outputs = check_outputs(task.outputs)
-    traced = any(OUTPUTS[name].traced for name in outputs)
 
     time_plants(plant_times)
     recipe = ps.load_recipe(task.recipe, task.changes)
     plan, frame_renderer = recipe.plan, FrameRenderer(recipe)
     first_frame = plan.frame(task.index)
-    scene = _build_scene(frame_renderer, first_frame, traced, task.divided, scene_times)
+    scene = _build_scene(frame_renderer, first_frame, needs_surfaces(outputs), task.divided, scene_times)
 
     times: Times = {}
     time_light(times)

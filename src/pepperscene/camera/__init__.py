@@ -19,6 +19,7 @@ from pepperscene.camera.developing import (
     pedestal,
     raw_frame,
     reference_correction,
+    reference_light,
 )
 from pepperscene.camera.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.flash import Flash, load_flash
@@ -76,6 +77,7 @@ __all__ = [
     "raw_frame",
     "read_poses",
     "reference_correction",
+    "reference_light",
     "relative_illumination",
     "spline_trajectory",
     "trajectory_from_poses",

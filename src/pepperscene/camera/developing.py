@@ -121,7 +121,7 @@ def colour_transform(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.fl
         gains = np.ones(3)
     elif isinstance(balance, str):
         # Not from the full correction, because light that shows no colours can be balanced too.
-        gains = white_balance_gains(camera.sensor, _reference_light(camera))
+        gains = white_balance_gains(camera.sensor, reference_light(camera))
     else:
         gains = np.array(balance)
     gains = gains * np.array(camera.developing.white_balance_error)
@@ -192,25 +192,32 @@ def _decode_table(tone: Tone) -> NDArray[np.float64]:
 
 
 def reference_correction(camera: Camera) -> ColourCorrection:
-    """Gains and colour matrix of the camera under its reference light, computed once per sensor and light.
+    """Gains and colour matrix of the camera under its `reference_light`, computed once per sensor and light.
 
-    The reference light is the light of the white balance; if that names none, the flash, or daylight without
-    a flash. Numbers given in `developing` are ignored. Raises as `colour_transform`.
+    Numbers given in `developing` are ignored. Raises as `colour_transform`.
     """
     _check_has_colours(camera)
-    return colour_correction(camera.sensor, _reference_light(camera))
+    return colour_correction(camera.sensor, reference_light(camera))
+
+
+def reference_light(camera: Camera) -> Spectrum:
+    """The light whose white the camera shows as white: that of the white balance.
+
+    If the white balance names none, and for a monochrome sensor, it is the flash, or daylight (CIE D65)
+    without a flash.
+
+    Raises:
+        ValueError: the white balance needs a missing flash.
+    """
+    balance = camera.developing.white_balance if camera.sensor.channels == 3 else None
+    if balance == "flash" and camera.flash is None:
+        raise ValueError('white balance "flash" needs a flash; choose "daylight"')
+    return d65_spectrum() if balance == "daylight" or camera.flash is None else camera.flash.spectrum
 
 
 def _check_has_colours(camera: Camera) -> None:
     if camera.sensor.channels == 1:
         raise ValueError(f"{camera.sensor.name} is monochrome: it has no colours to correct")
-
-
-def _reference_light(camera: Camera) -> Spectrum:
-    balance = camera.developing.white_balance
-    if balance == "flash" and camera.flash is None:
-        raise ValueError('white balance "flash" needs a flash; choose "daylight"')
-    return d65_spectrum() if balance == "daylight" or camera.flash is None else camera.flash.spectrum
 
 
 def _check_electrons(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:

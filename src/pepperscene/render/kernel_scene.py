@@ -148,6 +148,20 @@ class KernelScene:
         )
         return signal, {"samples_per_pixel": float(samples_taken(quality.sampler, quality.samples))}
 
+    def any_light_scene(self, camera: Camera, scene: Scene) -> LightScene:
+        """Geometry and materials over some wavelengths: those in memory, or those that a frame needs.
+
+        `scene` is this one, under any sky.
+
+        Raises:
+            ValueError: the scene has no surfaces.
+        """
+        for light in self._light.values():
+            return light
+        check_surfaces(scene)
+        grid = spectral_response(camera, scene).grid_nm
+        return self.light_scene(float(grid[0]), float(grid[-1]))
+
     def rays(self, camera: Camera) -> CameraRays:
         """Rays of a camera; along a path only the pose changes, so the lens stays on the device."""
         key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())

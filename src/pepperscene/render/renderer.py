@@ -32,11 +32,13 @@ from pepperscene.render.metering import metered_light
 from pepperscene.render.quality import Quality, resolve_quality
 from pepperscene.render.variant import mitsuba_modules, variant_name
 from pepperscene.scene import Scene, Sky
+from pepperscene.truth.amodal import amodal_truth
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
     from pepperscene.render.aov.coverage import SceneCoverage
     from pepperscene.render.aov.harvest import SceneHarvest
+    from pepperscene.render.aov.isolated import IsolatedOrgans
 
 FrameSky = Sky | Literal["scene"] | None
 """The sky of a frame, None for a frame without daylight, or "scene" for the sky of the scene."""
@@ -137,6 +139,12 @@ class Renderer:
         instances: dict[str, dict[str, Any]] = {}
         if any(not OUTPUTS[name].traced for name in requested):
             rays = label_rays(self._kernel.rays(camera), camera)
+            if "albedo" in requested:
+                from pepperscene.render.aov.albedo import albedo_image
+
+                # Before the first hits, which then use its kernel scene.
+                kernel_scene = self._kernel.any_light_scene(camera, scene)
+                images["albedo"] = albedo_image(kernel_scene, scene, camera, rays)
             hits = labels.first_hits(self._kernel.truth_scene(), rays)
             instance = labels.instance_ids(self.scene.mesh, hits)
             images |= labels.label_outputs(self.scene.mesh, hits, instance, camera, requested)
@@ -150,6 +158,10 @@ class Renderer:
                 images[name] = optical_flow(*mitsuba_scene, hits, camera, others.get(name))
             if "harvest" in requested:
                 images["harvest"] = self._harvest.truth(camera, rays, hits, instance)
+            if "amodal" in requested:
+                visible = labels.visible_organs(instances)
+                masks = self._organs.amodal_masks(visible, camera, rays, instance)
+                images["amodal"] = amodal_truth(masks, instance, self.scene.mesh.instances)
         metadata = {"camera": camera.metadata(), "seed": seed, "variant": variant_name()}
         metadata |= {"versions": _library_versions(), **described, "instances": instances}
         return Frame({name: images[name] for name in requested}, metadata)
@@ -163,13 +175,13 @@ class Renderer:
         alone: int | None = None,
     ) -> NDArray[np.bool_]:
         """`(n,)` whether `(n, 3)` points are in a camera's image and not hidden; see `PointTest`."""
-        from pepperscene.render.visibility import organ_scene, visible_points
+        from pepperscene.render.visibility import visible_points
 
         if alone is None:
             return visible_points(
                 self._kernel.truth_scene(), self._kernel.coordinates, camera, points, normals
             )
-        organ = organ_scene(self.scene.mesh, alone, self._kernel.coordinates)
+        organ = self._organs.of([alone])[alone].scene
         return visible_points(organ, self._kernel.coordinates, camera, points, normals, has_borders=False)
 
     def meter(
@@ -219,7 +231,13 @@ class Renderer:
     def _harvest(self) -> SceneHarvest:
         from pepperscene.render.aov.harvest import SceneHarvest
 
-        return SceneHarvest(self.scene)
+        return SceneHarvest(self.scene, self._organs)
+
+    @functools.cached_property
+    def _organs(self) -> IsolatedOrgans:
+        from pepperscene.render.aov.isolated import IsolatedOrgans
+
+        return IsolatedOrgans(self.scene.mesh)
 
 
 def _check_others(requested: tuple[str, ...], others: Mapping[str, Camera]) -> Mapping[str, Camera]:

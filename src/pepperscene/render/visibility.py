@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.geometry import Mesh
 from pepperscene.render.aov.flow import is_unoccluded
 from pepperscene.render.kernel.arrays import LocalCoordinates
-from pepperscene.render.variant import mitsuba_modules
 
 FloatArray = NDArray[np.float64]
 
@@ -72,19 +70,6 @@ def visible_points(
         start, vectors = coordinates.from_world(centre), (points[rows] - centre) / coordinates.unit_m
         visible[rows] = is_unoccluded(scene, start, vectors, np.full(len(rows), _NO_FACE))
     return visible
-
-
-def organ_scene(mesh: Mesh, instance: int, coordinates: LocalCoordinates) -> Any:
-    """A Mitsuba scene of the triangles of one instance, in the coordinates of the whole mesh."""
-    mi, _ = mitsuba_modules()
-    used, faces = np.unique(mesh.faces[mesh.face_runs.rows(instance)], return_inverse=True)
-    local = (mesh.vertices[used] - np.array(coordinates.origin, np.float32)) / np.float32(coordinates.unit_m)
-    shape = mi.Mesh("organ", len(used), faces.size // 3)
-    params = mi.traverse(shape)
-    params["vertex_positions"] = np.ascontiguousarray(local, np.float32).ravel()
-    params["faces"] = faces.astype(np.uint32).ravel()
-    params.update()
-    return mi.load_dict({"type": "scene", "organ": shape})
 
 
 def visible_fraction(

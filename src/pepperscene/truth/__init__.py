@@ -1,11 +1,13 @@
-"""Ground truth: encodings of labels and their inverses, harvest truth, and statistics of labelled images."""
+"""Ground truth: encodings of labels, amodal masks, harvest truth, and statistics of labelled images."""
 
 from pepperscene.truth.encodings import (
     class_colour,
     class_from_colour,
     class_pixel_counts,
+    decode_rle,
     distance_code,
     distance_from_code,
+    encode_rle,
 )
 from pepperscene.truth.statistics import (
     HUE_BINS,
@@ -26,8 +28,10 @@ __all__ = [
     "class_colour",
     "class_from_colour",
     "class_pixel_counts",
+    "decode_rle",
     "distance_code",
     "distance_from_code",
+    "encode_rle",
     "grey_values",
     "hue_spectrum_correlation",
     "mean_hue",

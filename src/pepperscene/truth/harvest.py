@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.classes import Instance
+from pepperscene.truth.amodal import AmodalMask, visibility_entry
 from pepperscene.truth.cut_point import Approach, FruitStalk
-from pepperscene.truth.encodings import encode_rle, mask_box, touches_border
 
 FORMAT: Final = "pepperscene harvest 1"
 
@@ -58,19 +58,6 @@ class FruitTruth:
     lineage: tuple[int, ...]
     stalk: FruitStalk | None
     approach: Approach | None
-
-
-@dataclass(frozen=True, eq=False)
-class AmodalMask:
-    """The pixels that a fruit would have if nothing occluded it."""
-
-    corner: tuple[int, int]  # column and row of the first pixel of `mask` in the image
-    mask: NDArray[np.bool_]  # `(h, w)`, for the part of the image that contains the fruit
-
-    def crop(self, image: NDArray[Any]) -> NDArray[Any]:
-        """The part of an image that the mask covers; a view."""
-        (x, y), (height, width) = self.corner, self.mask.shape
-        return image[y : y + height, x : x + width]
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,41 +160,12 @@ def _fruit_entry(fruit: FruitTruth, amodal: AmodalMask, view: LabelView, px: Flo
         "kind": fruit.instance.kind,
         **{name: _rounded(value) for name, value in fruit.measures.items()},
         "pose": _camera_pose(fruit, view),
-        **_visibility(fruit, amodal, view),
+        **visibility_entry(fruit.index, amodal, view.instance),
         "box_3d": _box_3d(fruit, view, corners),
         "stalk_end": _point_entry(fruit.pose[:3, 3], stalk_end, around, stalk_depth, view),
         "blossom_end": _point_entry(fruit.blossom_end, blossom_end, (fruit.index,), skin_depth, view),
         "peduncle": None if stalk is None else _stalk_entry(stalk, view, *stalk_px),
         "approach": None if approach is None else _approach_entry(approach, view),
-    }
-
-
-def _visibility(fruit: FruitTruth, amodal: AmodalMask, view: LabelView) -> dict[str, Any]:
-    """Visible and amodal boxes and pixels, and the occluders."""
-    labels = amodal.crop(view.instance)
-    visible = labels == fruit.index + 1
-    amodal_box = mask_box(amodal.mask, amodal.corner)
-    if amodal_box is None:
-        raise ValueError("a fruit without any pixel is not in the image")
-    count, visible_count = int(amodal.mask.sum()), int(visible.sum())
-    box = mask_box(visible, amodal.corner)
-    occluded = np.bincount(labels[amodal.mask & ~visible])
-    occluders = np.flatnonzero(occluded)
-    # Most pixels first; for equal numbers, the lower instance first.
-    occluders = occluders[np.argsort(-occluded[occluders], kind="stable")]
-    return {
-        "box": None if box is None else list(box),
-        "amodal_box": list(amodal_box),
-        "visible_pixels": visible_count,
-        "amodal_pixels": count,
-        "visible_fraction": _rounded(visible_count / count),
-        "truncated": touches_border(amodal_box, view.instance.shape),
-        "occluders": [
-            {"instance": int(occluder), "pixels": int(occluded[occluder])}
-            for occluder in occluders
-            if occluder > 0
-        ],
-        "amodal": encode_rle(amodal.mask, view.instance.shape, amodal.corner),
     }
 
 

@@ -65,6 +65,8 @@ def test_accepts_any_image_size_for_all_outputs(size, quality):
     assert_sound(frame)
     for name, image in frame.images.items():
         assert OUTPUTS[name].fits(image)
+        if not OUTPUTS[name].is_image:
+            continue
         assert name == "raw" or image.shape[:2] == size[::-1]
         assert not np.isnan(image.astype(float)).any()
     assert (frame["electrons"] > 0.0).all()

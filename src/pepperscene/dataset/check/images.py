@@ -135,6 +135,8 @@ def _check_light(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any
         yield "electrons", "have electrons that are not finite", ~np.isfinite(electrons).all(-1)
         yield "electrons", "have fewer than 0 electrons", (electrons < 0).any(-1)
         yield "electrons", "have no light at all", np.full(electrons.shape[:2], not electrons.any())
+    if "albedo" in images:
+        yield "albedo", "have an albedo that is not finite", ~np.isfinite(images["albedo"]).all(-1)
     if "raw" in images:
         raw, bits = images["raw"], camera_integer(metadata, "bits")
         if 0 < bits < 16:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +19,22 @@ Problem = tuple[str, str, str]
 
 _UNKNOWN: Final = 254  # no class id
 _MAX_NAMES: Final = 5  # chosen: in a sentence
-_HARVEST_FORMAT: Final = "pepperscene harvest 1"
+
+
+@dataclass(frozen=True)
+class _WholeOrgans:
+    """An output with the hidden parts of organs."""
+
+    format: str
+    key: str  # of the list of organs
+    name: str  # of one of them
+    article: str  # the name with its article
+
+
+_WHOLE_ORGANS: Final = {
+    "harvest": _WholeOrgans("pepperscene harvest 1", "fruit", "fruit", "a fruit"),
+    "amodal": _WholeOrgans("pepperscene amodal 1", "organs", "organ", "an organ"),
+}
 
 
 def check_labels(
@@ -147,36 +163,56 @@ def _check_derived(images: Mapping[str, Any]) -> Iterator[Problem]:
             )
 
 
-def check_harvest(images: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield the problems of a frame's harvest truth."""
-    if "harvest" not in images:
-        return
-    harvest, instances = images["harvest"], images.get("instance")
-    if harvest.get("format") != _HARVEST_FORMAT or not isinstance(harvest.get("fruit"), list):
-        yield "damaged", "harvest", f"must have the format {_HARVEST_FORMAT!r}"
-        return
+def check_whole_organs(images: Mapping[str, Any]) -> Iterator[Problem]:
+    """Yield the problems of organs with their hidden parts: of a frame's harvest truth and amodal masks."""
+    instances = images.get("instance")
     counts = None if instances is None else np.bincount(instances.ravel())
-    for fruit in harvest["fruit"]:
+    for output, whole in _WHOLE_ORGANS.items():
+        if output in images:
+            yield from _check_entries(output, whole, images[output], counts)
+    if "harvest" in images and "amodal" in images:
+        yield from _compare_masks(images["harvest"], images["amodal"])
+
+
+def _check_entries(
+    output: str, whole: _WholeOrgans, content: Mapping[str, Any], counts: Any
+) -> Iterator[Problem]:
+    if content.get("format") != whole.format or not isinstance(content.get(whole.key), list):
+        yield "damaged", output, f"must have the format {whole.format!r}"
+        return
+    for entry in content[whole.key]:
         try:
-            for problem in _check_fruit(fruit, counts):
-                yield "contradiction", "harvest", problem
+            for problem in _check_entry(whole.name, entry, counts):
+                yield "contradiction", output, problem
         except (KeyError, TypeError, IndexError) as error:
-            yield "damaged", "harvest", f"has a fruit without {error}"
+            yield "damaged", output, f"has {whole.article} without {error}"
             return
 
 
-def _check_fruit(fruit: Mapping[str, Any], counts: Any) -> Iterator[str]:
-    number, visible, amodal = fruit["instance"], fruit["visible_pixels"], fruit["amodal_pixels"]
+def _check_entry(name: str, entry: Mapping[str, Any], counts: Any) -> Iterator[str]:
+    number, visible, amodal = entry["instance"], entry["visible_pixels"], entry["amodal_pixels"]
     if counts is not None:
         pixels = int(counts[number]) if number < len(counts) else 0
         if pixels != visible:
-            yield f"fruit {number} has {pixels} visible pixels, the JSON says {visible}"
+            yield f"{name} {number} has {pixels} visible pixels, the JSON says {visible}"
     if not 0 <= visible <= amodal:
-        yield f"fruit {number} has {visible} visible pixels of {amodal}"
-    # COCO's run lengths: their sum is the whole image, every second one belongs to the fruit.
-    size, runs = fruit["amodal"]["size"], fruit["amodal"]["counts"]
+        yield f"{name} {number} has {visible} visible pixels of {amodal}"
+    # COCO's run lengths: their sum is the whole image, every second one belongs to the organ.
+    size, runs = entry["amodal"]["size"], entry["amodal"]["counts"]
     if sum(runs) != size[0] * size[1] or sum(runs[1::2]) != amodal:
-        yield f"the amodal mask of fruit {number} has {sum(runs[1::2])} pixels, the JSON says {amodal}"
+        yield f"the amodal mask of {name} {number} has {sum(runs[1::2])} pixels, the JSON says {amodal}"
+
+
+def _compare_masks(harvest: Mapping[str, Any], amodal: Mapping[str, Any]) -> Iterator[Problem]:
+    """Fruit in both outputs must have the same masks."""
+    try:
+        masks = {entry["instance"]: entry["amodal"] for entry in harvest["fruit"]}
+        organs = {entry["instance"]: entry["amodal"] for entry in amodal["organs"]}
+    except (KeyError, TypeError):
+        # Its faults are findings of the checks above.
+        return
+    if wrong := [number for number, mask in organs.items() if masks.get(number, mask) != mask]:
+        yield "contradiction", "amodal", f"fruit {_list_ids(wrong)}: another mask than that of harvest"
 
 
 def _window_box(window: tuple[slice, slice]) -> list[int]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pepperscene.dataset.check.edges import CHANCE, EdgeMatch, match_edges
 from pepperscene.dataset.check.findings import Finding, camera_integer, camera_pose, json_object
 from pepperscene.dataset.check.images import check_photo, check_values
-from pepperscene.dataset.check.labels import check_harvest, check_labels
+from pepperscene.dataset.check.labels import check_labels, check_whole_organs
 from pepperscene.dataset.check.tables import frame_row_digest, fruit_rows_digest, short_digest
 from pepperscene.dataset.check.variation import check_drawn
 from pepperscene.dataset.recipe.plan import Plan, frame_seed
@@ -260,7 +260,7 @@ def _check_content(
                 yield kind, output, problem
     yield from check_labels(images, metadata, ignored=ignored)
     yield from check_values(images, metadata, ignored=ignored)
-    yield from check_harvest(images)
+    yield from check_whole_organs(images)
     labels = next((name for name in ("instance", "class") if name in images), None)
     if has_edges and labels is not None:
         result = match_edges(images["colour"], images[labels])

@@ -29,7 +29,8 @@ _METRE_DECIMALS: Final = 6  # as in the harvest truth
 _VARIATION_KEYS: Final = ("moment", "twin", "rig_camera", "drawn")
 """Keys of a frame's JSON that only recipes with variation, twins or a rig have."""
 
-_FRUIT_KEYS: Final = ("ripeness", "length_m", "diameter_m", "visible_fraction", "truncated")
+_FRUIT_KEYS: Final = ("ripeness", "length_m", "diameter_m")
+_WHOLE_KEYS: Final = ("visible_fraction", "truncated")
 
 
 def write_coco(job: ExportJob, folder: Path) -> None:
@@ -39,7 +40,7 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids, of a merged category
     the lowest one; if ripe and unripe fruit are two categories, the rest of the fruit is a crowd of both, and
     void in panoptic images. If all frames have the output harvest, fruit get amodal masks, poses and
-    keypoints.
+    keypoints; if all have the output amodal, all organs get amodal masks.
 
     The ignored pixels of a frame are one more annotation with `iscrowd` 1 in each category, all with the same
     mask, because evaluation compares only within a category. In panoptic images they are 0: void.
@@ -49,7 +50,7 @@ def write_coco(job: ExportJob, folder: Path) -> None:
     crop = crop_name(job.dataset.info)
     thing_categories = [_category_record(category, crop) for category in job.selection.categories]
     # COCO declares keypoints per category, so either all frames have them or none.
-    harvest = bool(job.common_outputs(["harvest"]))
+    harvest, amodal = (bool(job.common_outputs([output])) for output in ("harvest", "amodal"))
     background = Category("background", frozenset({int(OrganClass.BACKGROUND)}))
     segmented = [
         {
@@ -84,7 +85,8 @@ def write_coco(job: ExportJob, folder: Path) -> None:
                 channels = visible.view(np.uint8).reshape(*ids.shape, 4)[..., :3]
                 content = png_bytes(np.ascontiguousarray(channels))
                 (panoptic_images / image["file_name"]).write_bytes(content)
-                instances.add(image, _instance_records(frame, segments, harvest))
+                records = _instance_records(frame, segments, harvest=harvest, amodal=amodal)
+                instances.add(image, records)
                 panoptic.add(image, [_panoptic_record(image, segments)])
 
 
@@ -148,9 +150,11 @@ def _annotation_id(index: int, segment_id: int) -> int:
     return index * 2 * REST + segment_id
 
 
-def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: bool) -> list[dict[str, Any]]:
+def _instance_records(
+    frame: ExportFrame, segments: Sequence[Segment], *, harvest: bool, amodal: bool
+) -> list[dict[str, Any]]:
     """One annotation for each visible organ, and one for the rest of each class."""
-    fruit = frame.fruit if harvest else {}
+    fruit, whole_organs = frame.fruit if harvest else {}, frame.whole_organs if amodal else {}
     visible = {segment.id for segment in segments}
     records = []
     for segment in segments:
@@ -178,6 +182,9 @@ def _instance_records(frame: ExportFrame, segments: Sequence[Segment], harvest: 
             record |= _keypoints(known)
             if known:
                 record["attributes"] |= _fruit_attributes(known)
+        # The harvest truth has the same mask of a fruit.
+        if segment.id in whole_organs and segment.id not in fruit:
+            record["attributes"] |= _whole_attributes(whole_organs[segment.id])
         records.append(record)
     return records
 
@@ -211,18 +218,24 @@ def _crowd_id(segment: Segment, category: Category) -> int:
 
 
 def _fruit_attributes(fruit: Mapping[str, Any]) -> dict[str, Any]:
-    """Further attributes of a fruit; `amodal` describes its mask without what hides it."""
+    """Further attributes of a fruit in the harvest truth."""
+    attributes = {key: fruit[key] for key in _FRUIT_KEYS if key in fruit} | _whole_attributes(fruit)
+    amodal = attributes.pop("amodal")
+    if box := fruit.get("box_3d"):
+        attributes["distance_m"] = round(float(np.linalg.norm(box["centre"])), _METRE_DECIMALS)
+    return {**attributes, "pose": fruit["pose"], "amodal": amodal}
+
+
+def _whole_attributes(organ: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes of an organ with its hidden parts; `amodal` describes its mask without what hides it."""
     coder = import_library("pycocotools.mask")
-    mask = coder.frPyObjects(dict(fruit["amodal"]), *fruit["amodal"]["size"])
+    mask = coder.frPyObjects(dict(organ["amodal"]), *organ["amodal"]["size"])
     amodal = {
         "segmentation": json_mask(mask),
         "area": int(coder.area(mask)),
         "bbox": [int(value) for value in coder.toBbox(mask)],
     }
-    attributes = {key: fruit[key] for key in _FRUIT_KEYS if key in fruit}
-    if box := fruit.get("box_3d"):
-        attributes["distance_m"] = round(float(np.linalg.norm(box["centre"])), _METRE_DECIMALS)
-    return {**attributes, "pose": fruit["pose"], "amodal": amodal}
+    return {**{key: organ[key] for key in _WHOLE_KEYS}, "amodal": amodal}
 
 
 def _keypoints(fruit: Mapping[str, Any]) -> dict[str, Any]:

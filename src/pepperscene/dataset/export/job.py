@@ -73,16 +73,21 @@ class ExportFrame:
             return {}
         return {entry["instance"]: entry for entry in self.image("harvest")["fruit"]}
 
+    @cached_property
+    def whole_organs(self) -> dict[int, dict[str, Any]]:
+        """The entries of its output `amodal` by instance; empty without that output."""
+        if "amodal" not in self.metadata["outputs"]:
+            return {}
+        return {entry["instance"]: entry for entry in self.image("amodal")["organs"]}
+
     def fruit_for(self, selection: Selection) -> dict[int, dict[str, Any]]:
         """`fruit` if the objects of a selection depend on it, else nothing: the harvest truth is not read."""
         return self.fruit if selection.needs_harvest or not selection.keep_truncated else {}
 
     def objects(self, selection: Selection, instance: NDArray[np.uint16]) -> set[int]:
         """The values of the instance image that are separate objects of a selection."""
-        fruit, at_border = self.fruit_for(selection), set[int]()
-        if not selection.keep_truncated:
-            border = (instance[0], instance[-1], instance[:, 0], instance[:, -1])
-            at_border = set(np.unique(np.concatenate(border)).tolist())
+        fruit = self.fruit_for(selection)
+        at_border = set[int]() if selection.keep_truncated else self._organs_at_border(instance)
         entries = {int(value): entry for value, entry in self.metadata["instances"].items()}
         return {
             value
@@ -90,6 +95,12 @@ class ExportFrame:
             if entry["class"] not in (OrganClass.BACKGROUND, IGNORE_CLASS)
             and selection.is_object(entry, fruit.get(value), value in at_border)
         }
+
+    def _organs_at_border(self, instance: NDArray[np.uint16]) -> set[int]:
+        """The organs that the image border may cut: with their hidden parts if these are known."""
+        border = (instance[0], instance[-1], instance[:, 0], instance[:, -1])
+        visible = set(np.unique(np.concatenate(border)).tolist())
+        return visible | {value for value, entry in self.whole_organs.items() if entry["truncated"]}
 
     def segment_ids(self, selection: Selection) -> NDArray[np.uint32]:
         """Segment of every pixel, `(h, w)`, above 0.

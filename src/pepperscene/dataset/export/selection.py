@@ -210,8 +210,8 @@ class Selection:
         Args:
             entry: of its instance in the frame's JSON.
             fruit: its entry in the harvest truth, if it has one.
-            at_border: whether its visible pixels reach the image border. For fruit in the harvest truth, the
-                whole fruit counts, with its hidden parts.
+            at_border: whether it reaches the image border, by its visible pixels, or by all of it if its
+                hidden parts are known. For fruit in the harvest truth, that truth counts.
         """
         is_truncated = at_border if fruit is None else fruit["truncated"]
         return (

@@ -18,6 +18,7 @@ from pepperscene.dataset.store.dataset import MARK, Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_frame, read_output, read_outputs
 from pepperscene.dataset.store.frame_json import DIGITS
 from pepperscene.errors import InputError
+from pepperscene.frame import OUTPUTS
 from pepperscene.truth import class_from_colour, distance_from_code
 
 _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
@@ -30,10 +31,17 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
 """Outputs that a field can be read from, the best first, and how to decode them."""
 
 
+_OBJECTS: Final = tuple(name for name, output in OUTPUTS.items() if not output.is_image)
+"""Outputs that become part of the metadata."""
+
+
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RenderedSet(ImageSet):
-    """Frames of a data set, with the frame's JSON as metadata and its harvest under the key `harvest`."""
+    """Frames of a data set, with the frame's JSON as metadata.
+
+    The outputs `harvest` and `amodal` are in the metadata, too, under these keys.
+    """
 
     dataset: Dataset
     items: tuple[int, ...]  # indices of the frames
@@ -57,10 +65,11 @@ class RenderedSet(ImageSet):
 
     def _read_metadata(self, index: int) -> dict[str, Any]:
         metadata = read_frame(self.dataset, index)
-        # A key of this name in the frame's JSON is no checked harvest.
-        metadata.pop("harvest", None)
-        if "harvest" in metadata["outputs"]:
-            metadata["harvest"] = read_output(self.dataset, index, "harvest")
+        for output in _OBJECTS:
+            # A key of this name in the frame's JSON is no checked output.
+            metadata.pop(output, None)
+            if output in metadata["outputs"]:
+                metadata[output] = read_output(self.dataset, index, output)
         return metadata
 
     def _read_field(self, index: int, field: str, outputs: Collection[str]) -> NDArray[Any] | None:

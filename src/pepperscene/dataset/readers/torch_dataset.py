@@ -13,7 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.dataset.readers.mask_classes import MaskClasses
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS
 from pepperscene.dataset.readers.torch_objects import find_objects
@@ -86,6 +88,10 @@ class TorchSet(torch.utils.data.Dataset):
             raise ArgumentError("epoch", f"must be an integer from 0, not {epoch!r}")
         self._epoch.fill_(int(epoch))
 
+    def _targets(self, position: int, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """The arrays as targets of training, before they are augmented."""
+        return arrays
+
     @abstractmethod
     def _parts(self, position: int, name: str, arrays: Mapping[str, NDArray[Any]]) -> tuple[Any, ...]:
         """The arguments of the transform, which are the sample if there is none."""
@@ -98,6 +104,7 @@ class TorchSet(torch.utils.data.Dataset):
         for key, array in arrays.items():
             if array is None:
                 raise InputError(self.images.name, f"{image.name} has no {key}{self.missing_hint}")
+        arrays = self._targets(position, arrays)
         rng, seeds = self._random_numbers(position)
         if self.options.augmentation is not None:
             arrays = dict(self.options.augmentation.apply(arrays, rng))
@@ -123,6 +130,24 @@ class TorchImages(TorchSet):
     """Samples are dictionaries of tensors for each pixel; see `torch_images`."""
 
     missing_hint = ": leave it out of keys"
+
+    def __init__(
+        self, images: ImageSet, keys: tuple[str, ...], options: SampleOptions, mapping: MaskClasses | None
+    ) -> None:
+        super().__init__(images, keys, options)
+        self.mapping = mapping
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Names of the classes by their value in `mask`."""
+        if self.mapping is None:
+            return tuple(organ_class.name.lower() for organ_class in OrganClass)
+        return self.mapping.names
+
+    def _targets(self, position: int, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        if self.mapping is None or "mask" not in arrays:
+            return arrays
+        return {**arrays, "mask": self.mapping.mask(self.images, position, arrays["mask"])}
 
     def _parts(self, position: int, name: str, arrays: Mapping[str, NDArray[Any]]) -> tuple[Any, ...]:
         sample: dict[str, Any] = {"name": name}

@@ -27,6 +27,8 @@ def torch_images(
     source: ImageSet | str | Path,
     keys: Sequence[str] = ("image", "mask"),
     *,
+    classes: str | None = None,
+    ripe_from: float | None = None,
     augmentation: Augmentation | None = None,
     transform: Callable[[Sample], Sample] | None = None,
     dtype: str = "float32",
@@ -42,6 +44,11 @@ def torch_images(
         keys: of a sample: `image` (3, h, w), `mask` (h, w) int64 with class ids and `VOID` (255, for
             `ignore_index`), `instances` (h, w) int64, `distance` and `depth_z` (h, w) float32, metres
             along the ray and along the optical axis, inf for none. A sample also has its `name`.
+        classes: "fruit=pepper,stalk=peduncle+stem", the classes of `mask`, numbered as by
+            `pepperscene export --format semantic --classes`; the attribute `classes` of the result has their
+            names. None for all classes, which are class ids without `ripe_from`.
+        ripe_from: least ripeness of ripe fruit, which divides a class of all fruit, as of `export_dataset`.
+            Ripeness needs a data set of this package with the outputs instance and harvest.
         augmentation: random changes of image and labels together, before the transform.
         transform: takes a sample and returns another, such as one of `torchvision.transforms.v2`; must be
             picklable for workers.
@@ -65,9 +72,13 @@ def torch_images(
         allowed = ", ".join(ARRAY_KEYS)
         raise ArgumentError("keys", f"must be some of {allowed}, not {', '.join(unknown) or 'none'}")
     options = _sample_options(augmentation, transform, dtype, tensors, seed)
+    images = _open_split(source, splits, split)
+    from pepperscene.dataset.readers.mask_classes import MaskClasses
     from pepperscene.dataset.readers.torch_dataset import TorchImages
 
-    return TorchImages(_open_split(source, splits, split), keys, options)
+    is_mapped = classes is not None or ripe_from is not None
+    mapping = MaskClasses.parse(images, classes, ripe_from) if is_mapped else None
+    return TorchImages(images, keys, options, mapping)
 
 
 def torch_detections(

@@ -20,7 +20,7 @@ from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder, make_greenhouse
 from pepperscene.dataset.scenes.surfaces import SurfaceFactory
 from pepperscene.dataset.views.camera_views import CameraViews
-from pepperscene.frame import OUTPUTS, Frame
+from pepperscene.frame import OUTPUTS, Frame, needs_surfaces
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -71,7 +71,7 @@ class _HeldScene:
     """The scene that is held, and its renderer.
 
     Attributes:
-        key: plants, set, rotation, and whether light can be traced.
+        key: plants, set, rotation, and whether it has surfaces and light.
         light: set and `FrameSetup.light`, which the scene's own sky depends on.
     """
 
@@ -136,7 +136,7 @@ class FrameRenderer:
             InputError: an output needs a stereo partner, and the recipe has none.
         """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
-        held = self._scene_of(spec, setup, traced)
+        held = self._scene_of(spec, setup, needs_surfaces(outputs))
         scene, visible = held.assembled.scene, getattr(held.renderer, "visible_points", None)
         others = self.views.others(spec, outputs, scene, visible)
         camera = self.camera(spec)

@@ -234,23 +234,28 @@ class _Approach(_Fields):
     camera: Three[Real]
 
 
-class _Fruit(_Fields):
+class _WholeOrgan(_Fields):
+    """An organ with its hidden parts."""
+
     instance: InstanceNumber
-    plant: Number
-    phytomer: Number
     kind: Text
-    ripeness: Real | None = None
-    length_m: Real | None = None
-    diameter_m: Real | None = None
     visible_fraction: Real
     visible_pixels: Count
     amodal_pixels: Count
     truncated: bool
     occluders: list[Any]
     amodal: _Mask
-    pose: Pose
     box: Four[Number] | None
     amodal_box: Four[Number] | None
+
+
+class _Fruit(_WholeOrgan):
+    plant: Number
+    phytomer: Number
+    ripeness: Real | None = None
+    length_m: Real | None = None
+    diameter_m: Real | None = None
+    pose: Pose
     stalk_end: _Point | None = None
     blossom_end: _Point | None = None
     box_3d: _Box3d | None = None
@@ -272,3 +277,13 @@ class HarvestFields(_Fields):
     """`harvest/000000.json`."""
 
     fruit: list[_Fruit]
+
+
+class _AmodalOrgan(_WholeOrgan):
+    organ_class: Annotated[int, AfterValidator(_check_class), Field(alias="class")]
+
+
+class AmodalFields(_Fields):
+    """`amodal/000000.json`."""
+
+    organs: list[_AmodalOrgan]

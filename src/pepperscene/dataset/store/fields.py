@@ -10,19 +10,28 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.store.dataset import MARK, Dataset
-from pepperscene.dataset.store.field_models import DatasetFields, FrameFields, FrameFiles, HarvestFields
+from pepperscene.dataset.store.field_models import (
+    AmodalFields,
+    DatasetFields,
+    FrameFields,
+    FrameFiles,
+    HarvestFields,
+)
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 from pepperscene.truth.encodings import is_class_id
+
+_OBJECTS: Final[Mapping[str, type[BaseModel]]] = {"harvest": HarvestFields, "amodal": AmodalFields}
+"""Models of the outputs that are JSON objects."""
 
 
 def frame_indices(dataset: Dataset) -> tuple[int, ...]:
@@ -91,8 +100,8 @@ def read_output(dataset: Dataset, index: int, output: str) -> Any:
         raise InputError(
             path, f"must hold {expected.shape} {expected.dtype}, not {image.shape} {image.dtype}"
         )
-    if output == "harvest":
-        validate(HarvestFields, image, path)
+    if output in _OBJECTS:
+        validate(_OBJECTS[output], image, path)
     elif output == "class" and image.max(initial=0) >= len(OrganClass):
         is_unknown, allowed = image >= len(OrganClass), f"from 0 to {len(OrganClass) - 1}"
         if has_ignored_pixels(dataset.info):

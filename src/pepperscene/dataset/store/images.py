@@ -2,7 +2,8 @@
 
 An EXR file has 32-bit float channels named by their content: `distance`; `depth_z`; `R`, `G`, `B` for
 electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for normals and positions; `U`, `V`;
-`flow.x`, `flow.y`, `visible`; coverage has 16-bit channels named by the classes (`background`, `leaf`, ...).
+`flow.x`, `flow.y`, `visible`. Two outputs have 16-bit channels: albedo those of electrons, and coverage one
+for each class (`background`, `leaf`, ...).
 The header attribute `unit` holds their unit. Class images are palette PNGs: the pixel values are the class
 ids, and a viewer shows the class colours.
 
@@ -33,6 +34,7 @@ from pepperscene.truth.encodings import class_palette
 
 _CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
     "electrons": ("R", "G", "B"),
+    "albedo": ("R", "G", "B"),
     "normal": ("X", "Y", "Z"),
     "position": ("X", "Y", "Z"),
     "coverage": tuple(organ_class.name.lower() for organ_class in OrganClass),
@@ -42,7 +44,7 @@ _CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Channel names along the third axis."""
 
-_LUMINANCE: Final = ("Y",)  # channel of electrons behind no colour filter
+_LUMINANCE: Final = ("Y",)  # channel of electrons and albedo behind no colour filter
 
 _UNITS: Final = {
     "electrons": "photo-electrons per photosite",
@@ -54,6 +56,7 @@ _UNITS: Final = {
     "uv": "surface coordinates from 0 to 1",
     "flow": "pixels right and down to the next frame; 1 where visible there",
     "stereo": "pixels right and down in the partner's picture; 1 where visible there",
+    "albedo": "diffuse reflectance, linear sRGB, 1 for white",
 }
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -12,111 +10,18 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.errors import ArgumentError
-from pepperscene.geometry import Mesh
 from pepperscene.geometry.fruit.fruits import fruit_frames
 from pepperscene.geometry.spine import spines
 from pepperscene.grammar import Organ
+from pepperscene.render.aov.isolated import IsolatedOrgan, IsolatedOrgans
 from pepperscene.render.aov.labels import Hits
-from pepperscene.render.kernel.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays
-from pepperscene.render.kernel.scene import mitsuba_mesh
-from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene, Skeleton
 from pepperscene.truth.blossom_end import blossom_end
 from pepperscene.truth.cut_point import FruitStalk, fruit_stalk, tool_approach
-from pepperscene.truth.encodings import Box
-from pepperscene.truth.harvest import AmodalMask, FruitTruth, LabelView, harvest_truth
+from pepperscene.truth.harvest import FruitTruth, LabelView, harvest_truth
 
-_BOX_MARGIN: Final = 2  # chosen: pixels; a lens bends the lines between projected vertices by less
 _STALK_STEPS: Final = 32  # chosen: pieces of a stalk's centreline, within micrometres of the curve
-
-
-@dataclass(frozen=True, eq=False)
-class IsolatedOrgan:
-    """One organ of a scene."""
-
-    mesh: Mesh  # its triangles alone
-    coordinates: LocalCoordinates  # of the whole scene
-
-    @cached_property
-    def scene(self) -> Any:
-        """The Mitsuba scene of this organ; made when it first comes into view."""
-        shape = mitsuba_mesh(self.mesh, coordinates=self.coordinates)
-        return mitsuba_modules()[0].load_dict({"type": "scene", "organ": shape})
-
-    def box(self, camera: Camera) -> Box | None:
-        """The part of the image that contains all rays that can hit the organ; None if there is none."""
-        pixels = camera.project(self.mesh.vertices)
-        finite = np.isfinite(pixels).all(axis=1)
-        if not finite.any():
-            return None
-        if not finite.all():
-            # It reaches behind the camera or beyond the field of the lens: any ray may hit it.
-            return 0, 0, camera.width, camera.height
-        low = np.floor(pixels.min(axis=0)).astype(np.intp) - _BOX_MARGIN
-        high = np.ceil(pixels.max(axis=0)).astype(np.intp) + _BOX_MARGIN
-        x0, y0 = np.maximum(low, 0).tolist()
-        x1, y1 = np.minimum(high, [camera.width, camera.height]).tolist()
-        return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
-
-
-def isolated_organs(mesh: Mesh, instances: Sequence[int]) -> dict[int, IsolatedOrgan]:
-    """Cut organs out of a mesh with contiguous vertices of each; those without triangles are left out.
-
-    130 times as fast as `Mesh.select_instances` for each fruit of a row.
-    """
-    coordinates = local_coordinates(mesh)
-    order = np.argsort(mesh.face_instance, kind="stable")
-    owner = mesh.face_instance[order]
-    organs = {}
-    for instance in instances:
-        rows = order[slice(*np.searchsorted(owner, [instance, instance + 1]))]
-        if not rows.size:
-            continue
-        faces = mesh.faces[rows]
-        used = slice(int(faces.min()), int(faces.max()) + 1)
-        part = replace(
-            mesh,
-            vertices=mesh.vertices[used],
-            normals=mesh.normals[used],
-            uv=mesh.uv[used],
-            state=mesh.state[used],
-            faces=faces - np.uint32(used.start),
-            face_instance=np.zeros(len(rows), np.uint32),
-            face_surface=mesh.face_surface[rows],
-            face_appearance=mesh.face_appearance[rows],
-            instances=(mesh.instances[instance],),
-        )
-        organs[instance] = IsolatedOrgan(part, coordinates)
-    return organs
-
-
-def hit_masks(organs: Sequence[tuple[IsolatedOrgan, Box]], rays: CameraRays) -> list[NDArray[np.bool_]]:
-    """`(y1 - y0, x1 - x0)` for each organ and box: whether rays through the pixels' centres hit the organ."""
-    _, dr = mitsuba_modules()
-    # Start all kernels before waiting for the first.
-    hits = [_hits_in_box(organ, box, rays) for organ, box in organs]
-    dr.eval(hits)
-    return [
-        np.array(hit).astype(bool).reshape(y1 - y0, x1 - x0)
-        for hit, (_, (x0, y0, x1, y1)) in zip(hits, organs, strict=True)
-    ]
-
-
-def _hits_in_box(organ: IsolatedOrgan, box: Box, rays: CameraRays) -> Any:
-    """1 for each pixel of a box whose ray hits the organ, row by row."""
-    mi, dr = mitsuba_modules()
-    x0, y0, x1, y1 = box
-    # Kernel data, so that no other box, organ or scene compiles anything.
-    left, top, width = (device_uint(n) for n in (x0, y0, x1 - x0))
-    lane = dr.arange(mi.UInt32, (x1 - x0) * (y1 - y0))
-    row = lane // width
-    column = lane - row * width + left
-    origin, direction = rays.centre_rays(column, row + top, mi.Float(0.5), mi.Float(0.5))
-    hit = organ.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
-    is_hit = dr.select(hit.is_valid(), mi.UInt32(1), mi.UInt32(0))
-    dr.schedule(is_hit)
-    return is_hit
 
 
 class SceneHarvest:
@@ -124,17 +29,18 @@ class SceneHarvest:
 
     Args:
         scene: with the skeleton of its plants.
+        organs: of the scene.
 
     Raises:
         InputError: the scene has no skeleton.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, organs: IsolatedOrgans) -> None:
         if scene.skeleton is None:
             raise ArgumentError(
                 "outputs", "harvest needs a scene that was assembled with its plants' skeleton"
             )
-        self._mesh, self._skeleton = scene.mesh, scene.skeleton
+        self._mesh, self._skeleton, self._organs = scene.mesh, scene.skeleton, organs
         self._truths: dict[int, FruitTruth] = {}
         self._stem_axes: dict[int, NDArray[np.float64]] = {}
 
@@ -142,16 +48,9 @@ class SceneHarvest:
         self, camera: Camera, rays: CameraRays, hits: Hits, instance: NDArray[np.uint16]
     ) -> dict[str, Any]:
         """Compute the output `harvest` from a camera's rays, hits and instance image."""
-        near = [index for index, in_view in zip(self._organs, self._in_view(camera), strict=True) if in_view]
-        boxes = {index: box for index in near if (box := self._organs[index].box(camera)) is not None}
-        masks = hit_masks([(self._organs[index], box) for index, box in boxes.items()], rays)
+        near = [index for index, in_view in zip(self._fruit, self._in_view(camera), strict=True) if in_view]
         fruit = []
-        for (index, (x, y, *_)), mask in zip(boxes.items(), masks, strict=True):
-            amodal = AmodalMask((x, y), mask)
-            # Rays with equal directions can disagree at an outline; visible pixels always count.
-            mask |= amodal.crop(instance) == index + 1
-            if not mask.any():
-                continue
+        for index, amodal in self._organs.amodal_masks(near, camera, rays, instance):
             # The truth of a fruit is the same in all views.
             if index not in self._truths:
                 self._truths[index] = self._fruit_truth(index)
@@ -160,14 +59,14 @@ class SceneHarvest:
         return harvest_truth(fruit, view, self._mesh.instances)
 
     @cached_property
-    def _organs(self) -> dict[int, IsolatedOrgan]:
+    def _fruit(self) -> dict[int, IsolatedOrgan]:
         """The scene's fruit by index."""
-        return isolated_organs(self._mesh, self._skeleton.of_form("fruit"))
+        return self._organs.of(self._skeleton.of_form("fruit"))
 
     @cached_property
     def _bounding_spheres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """`(n, 3)` centres and `(n,)` radii of the fruit's bounding spheres, metres."""
-        bounds = np.array([organ.mesh.bounds for organ in self._organs.values()], float).reshape(-1, 2, 3)
+        bounds = np.array([organ.mesh.bounds for organ in self._fruit.values()], float).reshape(-1, 2, 3)
         return bounds.mean(axis=1), 0.5 * np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
 
     def _in_view(self, camera: Camera) -> NDArray[np.bool_]:
@@ -196,7 +95,7 @@ class SceneHarvest:
         frames = fruit_frames([organ])
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = frames.axes[0].T, frames.foot[0]
-        mesh = self._organs[index].mesh
+        mesh = self._fruit[index].mesh
         local = (mesh.vertices - frames.foot[0]) @ frames.axes[0].T
         end = frames.foot[0] + pose[:3, :3] @ blossom_end(local, mesh.faces, mesh.uv[:, 1])
         low, high = local.min(axis=0), local.max(axis=0)

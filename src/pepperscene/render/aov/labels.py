@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.classes import OrganClass
+from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import device_uint
 from pepperscene.render.kernel.camera import CameraRays
@@ -102,6 +102,12 @@ def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dic
         if item.far_row >= 0:
             described[str(value)]["far"] = True
     return described
+
+
+def visible_organs(described: Mapping[str, Mapping[str, Any]]) -> list[int]:
+    """Indices of the organs among `visible_instances`, ascending: all of a class that is no background."""
+    no_organ = (OrganClass.BACKGROUND, IGNORE_CLASS)
+    return [int(value) - 1 for value, item in described.items() if item["class"] not in no_organ]
 
 
 def _pixel_extents(instance: NDArray[np.uint16]) -> NDArray[np.int64]:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, Motion
+from pepperscene.camera import Camera, Motion, Sensor
 from pepperscene.camera.shutter import RowWindows
 from pepperscene.render.kernel.arrays import (
     WORLD,
@@ -250,10 +250,7 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
         ValueError: a light is too strong for single precision.
     """
     # Limit the grid to wavelengths with both response and light.
-    efficiency = camera.sensor.quantum_efficiency
-    peak = efficiency.values.max()
-    detected = efficiency.wavelength_nm[(efficiency.values > _NEGLIGIBLE_RESPONSE * peak).any(axis=0)]
-    grid = np.arange(np.floor(detected[0]), np.ceil(detected[-1]) + STEP_NM, STEP_NM)
+    grid = detected_wavelengths(camera.sensor)
     emitted = np.flatnonzero(np.any([_flash_intensity(camera, grid), *_daylight(scene, grid)], axis=0))
     if emitted.size:
         grid = grid[max(emitted[0] - 1, 0) : emitted[-1] + 2]
@@ -282,6 +279,14 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
     density = response * (np.mean(lights, axis=0) if lights else np.ones(grid.size))
     density = density / density.sum() + response / response.sum() + 1e-3 / grid.size
     return SpectralResponse(grid, electrons, flash, density)
+
+
+def detected_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
+    """`(n,)` wavelengths that a sensor detects, nanometres, `STEP_NM` apart."""
+    efficiency = sensor.quantum_efficiency
+    peak = efficiency.values.max()
+    detected = efficiency.wavelength_nm[(efficiency.values > _NEGLIGIBLE_RESPONSE * peak).any(axis=0)]
+    return np.arange(np.floor(detected[0]), np.ceil(detected[-1]) + STEP_NM, STEP_NM)
 
 
 def _flash_intensity(camera: Camera, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:

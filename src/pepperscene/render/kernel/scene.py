@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_array, local_coordinates
 from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.surface.textures import choose_texture, texture_count
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
@@ -135,6 +136,12 @@ class LightScene:
         si.initialize_sh_frame()
         si.wi = dr.select(active, si.to_local(-ray.d), -ray.d)
         return si
+
+    def intersect(self, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:
+        """Whether rays hit a surface, their surface interactions, and the preliminary hits."""
+        hit = self.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
+        is_hit = hit.is_valid()
+        return is_hit, shading_normals(self.interaction(ray, hit, is_hit)), hit
 
     def surface_point(
         self, si: Any, hit: Any, active: Any, optics: Optics | None = None, footprint: Any | None = 0.0

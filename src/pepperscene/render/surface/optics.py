@@ -125,16 +125,21 @@ class Optics:
             weights: `(n, c)` response times light on the grid of the spectra; any scale.
         """
         spectra = np.asarray(self.spectra).reshape(-1, len(weights), 4)
-        total = weights.sum(axis=0)
-        fractions = weights / np.where(total > 0.0, total, 1.0)
-        colours = np.einsum("rls,lc->rcs", spectra.astype(np.float64), fractions)
-        # The variance of what a side scatters hardly differs between front and back.
-        for side in (0, 1):
-            scattered = spectra[..., side].astype(np.float64) + spectra[..., 2]
-            mean = colours[..., side] + colours[..., 2]
-            squares = np.einsum("rl,lc->rc", scattered**2, fractions)
-            colours[..., 3] += 0.5 * np.maximum(squares - mean**2, 0.0)
+        colours = channel_colours(spectra, weights)
         return replace(self, spectra=device_array(colours), channels=weights.shape[1])
+
+    def with_colours(
+        self, surfaces: Sequence[Surface], grid_nm: NDArray[np.float64], weights: NDArray[np.float64]
+    ) -> Optics:
+        """The same surfaces as `by_channel` shows them, over another grid of wavelengths.
+
+        Args:
+            surfaces: those that were packed.
+            grid_nm: `(n,)` wavelengths.
+            weights: `(n, c)` response times light there; any scale.
+        """
+        colours = [channel_colours(spectra_rows(surface, grid_nm), weights) for surface in surfaces]
+        return replace(self, spectra=device_array(np.concatenate(colours)), channels=weights.shape[1])
 
     def point(
         self, si: Any, organ: Any, state: Any, active: Any, footprint: Any | None = 0.0
@@ -286,6 +291,28 @@ def _relief(si: Any, texel: TextureSample) -> tuple[Any, Any]:
     frame = mi.Frame3f(dr.normalize(mi.Normal3f(-gx * limit, -gy * limit, 1.0)))
     blur = texel.variance_u * (u_x * u_x + u_y * u_y) + texel.variance_v * (v_x * v_x + v_y * v_y)
     return frame, dr.clip(blur, 0.0, LARGEST_BLUR)
+
+
+def channel_colours(spectra: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Integrate spectra to colours; see `Optics.by_channel`.
+
+    Args:
+        spectra: `(r, n, 4)` front and back reflectance, transmittance, 0.
+        weights: `(n, c)` response times light.
+
+    Returns:
+        `(r, c, 4)`; the last entry is the variance over wavelength of what a side scatters.
+    """
+    total = weights.sum(axis=0)
+    fractions = weights / np.where(total > 0.0, total, 1.0)
+    colours = np.einsum("rls,lc->rcs", spectra.astype(np.float64), fractions)
+    # The variance hardly differs between front and back.
+    for side in (0, 1):
+        scattered = spectra[..., side].astype(np.float64) + spectra[..., 2]
+        mean = colours[..., side] + colours[..., 2]
+        squares = np.einsum("rl,lc->rc", scattered**2, fractions)
+        colours[..., 3] += 0.5 * np.maximum(squares - mean**2, 0.0)
+    return np.asarray(colours)
 
 
 def spectra_rows(surface: Surface, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -160,6 +160,15 @@ class SurfacePoint:
         """Reflectance and transmittance of the body together."""
         return self.reflectance + self.transmittance
 
+    def diffuse_reflectance(self) -> Any:
+        """Fraction of even light from all directions that the body sends back, without gloss: R'' a (1 - l).
+
+        It is the radiance factor of the body under light that is equal from all directions above the smooth
+        surface, as a mean over the directions of view, which differ by their openness only. Between 0 and 1;
+        1 for a lossless matt surface with any relief, and the reflectance of a grey card.
+        """
+        return self.reflectance * (self.near.mean * (0.5 + 0.5 * self.frame.n.z))
+
     def _lobe_probabilities(self) -> Any:
         """Probabilities of the gloss and, if it is not chosen, of diffuse transmission.
 

@@ -25,7 +25,6 @@ from pepperscene.camera import Flash
 from pepperscene.render.kernel.arrays import device_array, device_uint
 from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
-from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.transport.accumulate import Counts, Images, SampleAccumulator, TracedLight
 from pepperscene.render.transport.lights import FrameTables, frame_tables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
@@ -167,19 +166,19 @@ def _sum_pass(
 
 def _direct_light(tables: FrameTables, samples: Samples) -> list[Any]:
     """Direct light: 3 c + 5 values."""
-    return _direct(tables, samples, *_intersect(tables.scene, samples.ray, coherent=True))
+    return _direct(tables, samples, *tables.scene.intersect(samples.ray, coherent=True))
 
 
 def _all_light(tables: FrameTables, samples: Samples, bounces: int, most: int = 0) -> list[Any]:
     """Direct and indirect light along the same camera rays: 4 c + 6 values."""
-    first_hit = _intersect(tables.scene, samples.ray, coherent=True)
+    first_hit = tables.scene.intersect(samples.ray, coherent=True)
     direct = _direct(tables, samples, *first_hit)
     return direct + _indirect(tables, samples, (bounces, most), *first_hit)
 
 
 def total_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
     """The sum of all light: c values, and nothing that their derivatives do not need."""
-    first_hit, c = _intersect(tables.scene, samples.ray, coherent=True), tables.channels
+    first_hit, c = tables.scene.intersect(samples.ray, coherent=True), tables.channels
     direct = _direct(tables, samples, *first_hit)[: 2 * c]
     indirect = _indirect(tables, samples, (bounces, 0), *first_hit)
     return [direct[k] + direct[c + k] + indirect[k] for k in range(c)]
@@ -275,7 +274,7 @@ def _arrive(
     """
     lights = wavelengths.spectra
     ray.wavelengths = wavelengths.nm
-    is_hit, si, hit = _intersect(tables.scene, ray, active)
+    is_hit, si, hit = tables.scene.intersect(ray, active)
     # No texel can be seen in scattered light, and a relief has its mean.
     point = tables.scene.surface_point(si, hit, active & is_hit, footprint=None)
     sky = samples.sky_radiance(ray.d, active & ~is_hit, lights, with_sun=False)
@@ -321,10 +320,3 @@ def _sum_of_squares(tables: FrameTables, channels: Any) -> Any:
     """Sum of the squares of the channels, in units of the light of a white body."""
     _, dr = mitsuba_modules()
     return sum(dr.square(channel * scale) for channel, scale in zip(channels, tables.per_white, strict=True))
-
-
-def _intersect(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:
-    """Whether rays hit a surface, their surface interactions, and the preliminary hits."""
-    hit = scene.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
-    is_hit = hit.is_valid()
-    return is_hit, shading_normals(scene.interaction(ray, hit, is_hit)), hit
