@@ -81,7 +81,7 @@ def test_paths_are_relative_to_their_file(tmp_path: Path) -> None:
     (tmp_path / "below" / "fruit.PLY").write_text("ply")
     parent = write(tmp_path / "below", "parent.toml", organs={"fruit": {"scan": "fruit.PLY"}})
     child = write(tmp_path, extends="below/parent.toml")
-    scan = load_cultivar(child).kinds["fruit"].scan
+    (scan,) = load_cultivar(child).kinds["fruit"].scans.files
     assert scan == (tmp_path / "below" / "fruit.PLY").resolve()
     assert cultivar_files(child) == (child, parent, shipped_folder("plants") / "kaite.toml", scan)
 
@@ -92,7 +92,7 @@ ERRORS: dict[str, tuple[dict[str, Any], str, str]] = {
     "two parents": ({"extends": ["kaite"]}, "extends", "must be a name or a path"),
     "extends itself": ({"extends": "child.toml"}, "extends", "forms a cycle"),
     "no such scan": ({"organs": {"fruit": {"scan": "fruit.obj"}}}, "organs.fruit.scan", "is not a file"),
-    "unknown scan format": ({"organs": {"fruit": {"scan": "a.glb"}}}, "organs.fruit.scan", ".ply, .stl"),
+    "unknown scan format": ({"organs": {"fruit": {"scan": "a.gltf"}}}, "organs.fruit.scan", ".ply, .stl"),
     "own value": ({"stem": {"parts": 0}}, "stem.parts", "greater than or equal to 1"),
 }  # fmt: skip
 

@@ -12,8 +12,10 @@ from organ_meshes import KINDS, check_mesh, merged, mesh_organs, shading_agreeme
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar.organs import OrganKind
+from pepperscene.cultivar.scans import FruitScans
 from pepperscene.errors import InputError
-from pepperscene.geometry.fruit.scan import MAX_TRIANGLES, load_scan
+from pepperscene.geometry.fruit.scan import load_scan
+from pepperscene.geometry.fruit.scan_clean import MAX_TRIANGLES
 from pepperscene.grammar.plant import Organ
 
 CURVE = np.array([[0.1, 0.2, 1.0], [0.11, 0.18, 0.92]])
@@ -39,7 +41,7 @@ def save(body, path):
 
 def scanned_fruit(path, *, calyx=False, **measures):
     """The mesh of a fruit that uses the scan, after a calyx if there is one."""
-    kinds = {**KINDS, "berry": OrganKind("fruit", OrganClass.PEPPER, "fruit", path)}
+    kinds = {**KINDS, "berry": OrganKind("fruit", OrganClass.PEPPER, "fruit", FruitScans((path,)))}
     shape = {"length_m": 0.09, "diameter_m": 0.07, "seed": 0.3} | measures
     organs = [Organ("berry", 0 if calyx else -1, 4, CURVE, UP, shape)]
     if calyx:

@@ -81,6 +81,7 @@ def isolated_organs(mesh: Mesh, instances: Sequence[int]) -> dict[int, IsolatedO
             normals=mesh.normals[used],
             uv=mesh.uv[used],
             state=mesh.state[used],
+            colour=None,
             faces=faces - np.uint32(used.start),
             face_instance=np.zeros(len(rows), np.uint32),
             face_surface=mesh.face_surface[rows],
