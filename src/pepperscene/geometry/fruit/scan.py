@@ -153,7 +153,9 @@ def _load(path: Path, up: ScanAxis, colour: bool, _changed_ns: int, _size: int) 
         )
         raise InputError(path, problem)
     upright = read.vertices @ _UPRIGHT[up].T
-    body = clean_scan(path, *simplify_scan(path, upright, read.faces))
+    # The volume of a surface may be 0 or beyond a number, which is refused.
+    with np.errstate(all="ignore"):
+        body = clean_scan(path, *simplify_scan(path, upright, read.faces))
     colours = None
     if read.colours is not None:
         used = np.unique(read.faces)

@@ -76,6 +76,8 @@ def clean_scan(path: Path, vertices: FloatArray, faces: IndexArray) -> CleanBody
     """
     import trimesh
 
+    if len(faces) == 0:
+        raise InputError(path, f"has no triangle of three different corners; {ALLOWED_SCAN}")
     used = vertices[np.unique(faces)]
     low, high = used.min(axis=0), used.max(axis=0)
     extent = high - low

@@ -72,21 +72,19 @@ def _read_content(path: Path) -> bytes:
     """The bytes of a regular file that is not too long."""
     most = _MOST_BYTES[path.suffix.lower()]
     try:
+        status = path.stat()
         # A device or a pipe may never end.
-        if not stat.S_ISREG(path.stat().st_mode):
+        if not stat.S_ISREG(status.st_mode):
             raise InputError(path, f"is not a file; {ALLOWED_SCAN}")
-        with path.open("rb") as file:
-            content = file.read(most + 1)
+        content = b"" if status.st_size > most else path.read_bytes()
     except FileNotFoundError:
         raise InputError(path, f"there is no such file; {ALLOWED_SCAN}") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(path, f"cannot be read ({reason}); {ALLOWED_SCAN}") from None
-    if len(content) > most:
-        size, unit = most // 1_000_000, path.suffix[1:].upper()
-        raise InputError(
-            path, f"is longer than {size} MB, the most that is read of {unit}: simplify it before"
-        )
+    if status.st_size > most:
+        limit = f"{most // 1_000_000} MB, the most that is read of {path.suffix[1:].upper()}"
+        raise InputError(path, f"is longer than {limit}: simplify it before")
     return content
 
 

@@ -50,7 +50,16 @@ def glb_bodies(content: bytes, path: Path, *, colour: bool) -> list[ScanTriangle
         InputError: the file is damaged, has too many triangles, or needs an extension that is not read.
         Exception: of many kinds, where the structure is not that of glTF.
     """
-    tree, binary = _chunks(content, path)
+    try:
+        return _scene_bodies(*_chunks(content, path), path, colour=colour)
+    except (KeyError, IndexError) as error:
+        raise damaged_scan(path, f"an entry of its structure is missing or unknown: {error}") from None
+
+
+def _scene_bodies(
+    tree: Mapping[str, Any], binary: memoryview, path: Path, *, colour: bool
+) -> list[ScanTriangles]:
+    """The triangles of all nodes."""
     required = [name for name in tree.get("extensionsRequired", []) if not _is_read(str(name))]
     if required:
         raise InputError(path, f"needs {required[0]}, which is not read: export it without that extension")
@@ -143,7 +152,7 @@ def _transform(node: Mapping[str, Any]) -> FloatArray:
 def _index(value: Any) -> int:
     """A number of an entry; Python would count negative ones from the end."""
     if type(value) is not int or value < 0:
-        raise ValueError(f"{str(value)[:30]!r} is no number of an entry")
+        raise ValueError(f"{str(value)[:30]!r} is not a number of an entry")
     return value
 
 
@@ -177,16 +186,22 @@ class _Accessors:
 
     def texture(self, number: Any) -> NDArray[np.uint8]:
         """`(h, w, 3)` image of a texture."""
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
 
         source = self.tree["images"][_index(self.tree["textures"][_index(number)]["source"])]
         if "bufferView" not in source:
             raise InputError(self._path, "has its texture in another file: export it with embedded textures")
-        with Image.open(io.BytesIO(self._view(source["bufferView"])), formats=_IMAGES) as image:
-            if image.width * image.height > _MOST_PIXELS:
-                size = f"{image.width} x {image.height}"
-                raise InputError(self._path, f"has a texture of {size} pixels, and 8192 x 8192 are the most")
-            return np.asarray(image.convert("RGB"))
+        try:
+            with Image.open(io.BytesIO(self._view(source["bufferView"])), formats=_IMAGES) as image:
+                if image.width * image.height > _MOST_PIXELS:
+                    raise Image.DecompressionBombError
+                return np.asarray(image.convert("RGB"))
+        except UnidentifiedImageError:
+            raise damaged_scan(self._path, f"its texture is not a {', '.join(_IMAGES)} image") from None
+        except Image.DecompressionBombError:
+            raise InputError(
+                self._path, "has a texture of more than 8192 x 8192 pixels: make it smaller"
+            ) from None
 
     def _floats(self, number: Any) -> FloatArray:
         """Values as numbers; integers that stand for fractions are divided by the largest."""
