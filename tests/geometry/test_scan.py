@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +14,14 @@ from organ_meshes import KINDS, check_mesh, merged, mesh_organs, shading_agreeme
 
 from pepperscene.camera.colorimetry import srgb_encode
 from pepperscene.classes import OrganClass
+from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.organs import OrganKind
 from pepperscene.cultivar.scans import FruitScans
 from pepperscene.errors import InputError
-from pepperscene.geometry import concatenate_meshes, sphere
-from pepperscene.geometry.fruit.scan import choose_scans, load_scan
+from pepperscene.geometry import concatenate_meshes, sphere, write_mesh
+from pepperscene.geometry.fruit.scan import check_unit, choose_scans, load_scan
 from pepperscene.geometry.fruit.scan_clean import MAX_TRIANGLES
+from pepperscene.geometry.fruit.scan_file import read_triangles
 from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.grammar.plant import Organ
 
@@ -257,6 +261,15 @@ def test_scan_that_no_unit_fits_is_refused(tmp_path):
     assert len(scanned_fruit(path).faces) == len(apple(2).faces)
 
 
+def test_page_shows_the_error_about_a_unit(tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "reference" / "cultivar.md"
+    scan = replace(load_scan(save(apple(2), tmp_path / "fruit.ply")), diameter=78.4)
+    diameter = load_cultivar("kaite").organs["fruit"].diameter.mean
+    with pytest.raises(InputError) as error:
+        check_unit(Path("blocky.ply"), scan, "m", diameter)
+    assert f"\n{error.value}\n" in page.read_text(encoding="utf-8")
+
+
 def painted(body):
     """A body whose linear colour is its position in its box."""
     place = (body.vertices - body.bounds[0]) / np.ptp(body.bounds, axis=0)
@@ -303,6 +316,17 @@ def test_organs_without_a_scan_keep_their_pigments(tmp_path):
     joined = concatenate_meshes([sphere([0.0, 0.0, 0.0], 0.1), mesh])
     np.testing.assert_array_equal(joined.colour[-len(mesh.vertices) :], mesh.colour)
     assert np.all(joined.colour[: -len(mesh.vertices)] == PIGMENTS)
+
+
+def test_mesh_file_of_a_plant_has_the_colours_of_the_scan(tmp_path):
+    scan = save(painted(apple(3)), tmp_path / "fruit.ply")
+    mesh = scanned_fruit(scan, calyx=True, scans={"colour": True})
+    write_mesh(mesh, tmp_path / "plant.glb", {"fruit": np.zeros((2, 3)), "calyx": np.zeros((2, 3))})
+    found = read_triangles(tmp_path / "plant.glb", colour=True)
+    # Organs are in the order of their instances; the calyx is black.
+    calyx = mesh.vertex_runs.rows(0).stop
+    assert np.all(found.colours[:calyx] == 0.0)
+    np.testing.assert_allclose(found.colours[calyx:], mesh.colour[calyx:], atol=0.51 / 255)
 
 
 def test_scan_without_colours_cannot_give_any(tmp_path):
