@@ -106,7 +106,7 @@ def write_mesh(
 
 
 def _instance_meshes(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, NDArray[np.uint32], Trimesh]]:
-    """Index, instance, surface, mean state, vertices and body of each instance that has triangles, in order."""
+    """Index, instance, surface, mean state, vertices and body of each instance with triangles, in order."""
     import trimesh
 
     for index, item in enumerate(mesh.instances):

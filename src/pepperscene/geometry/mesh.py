@@ -219,7 +219,7 @@ class Mesh:
             colour=self.colours_of(used),
         )
 
-    def colours_of(self, vertices: NDArray[np.bool_] | IndexArray | slice) -> SingleArray | None:
+    def colours_of(self, vertices: NDArray[np.bool_] | NDArray[np.integer] | slice) -> SingleArray | None:
         """Colours of some vertices, or None if the mesh has none."""
         return None if self.colour is None else self.colour[vertices]
 
