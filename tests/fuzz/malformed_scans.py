@@ -237,6 +237,7 @@ def _structures():
         "doubling.glb": glb(nodes=doubling),
         "copies.glb": glb(nodes=copies),
         "primitives.glb": glb(meshes=[{"primitives": one * 20_000}]),
+        "shared points.glb": glb(accessors=entry(1, count=3), meshes=[{"primitives": one * 10_000}]),
         "cycle.glb": glb(nodes=[{"children": [1]}, {"children": [0], "mesh": 0}]),
         "deep.glb": glb_file(b"[" * deep, b""),
         "list.glb": glb_file(b"[]", b""),

@@ -29,7 +29,7 @@ from pepperscene.geometry.mesh import FloatArray, IndexArray
 _JSON, _BIN = b"JSON", b"BIN\0"
 _MOST_JSON: Final = 16_000_000  # bytes; chosen: a scan's has a few kilobytes
 _MOST_NODES: Final = 100_000  # chosen
-_MOST_PIXELS: Final = 8192 * 8192  # of a texture; chosen: 200 MB as an image of 8 bits
+_MOST_PIXELS: Final = 8192 * 8192  # of all textures; chosen: 200 MB as an image of 8 bits
 _IMAGES: Final = ("PNG", "JPEG", "WEBP")
 _TYPES: Final[Mapping[int, str]] = {
     5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4",
@@ -64,16 +64,20 @@ def _scene_bodies(
     if required:
         raise InputError(path, f"needs {required[0]}, which is not read: export it without that extension")
     file = _Accessors(tree, binary, path)
-    bodies, total = [], 0
+    bodies, triangles, most_points = [], 0, 3 * MOST_TRIANGLES
     for transform, primitive in _primitives(tree, path):
         mode = primitive.get("mode", _TRIANGLES)
         if mode < _TRIANGLES:
             continue
         if mode != _TRIANGLES:
             raise InputError(path, "has strips or fans of triangles: export it with separate ones")
-        total += file.corner_count(primitive) // 3
-        check_count(total, path)
+        triangles += file.corner_count(primitive) // 3
+        check_count(triangles, path)
         points, faces = file.points(primitive), file.faces(primitive)
+        # Primitives can share points, of which each gets its own.
+        most_points -= len(points)
+        if most_points < 0:
+            raise damaged_scan(path, "its primitives have three times as many points as triangles are read")
         bodies.append(
             ScanTriangles(
                 points @ transform[:3, :3].T + transform[:3, 3],
@@ -161,6 +165,8 @@ class _Accessors:
 
     def __init__(self, tree: Mapping[str, Any], binary: memoryview, path: Path) -> None:
         self.tree, self._binary, self._path = tree, binary, path
+        self._images: dict[int, NDArray[np.uint8]] = {}
+        self._pixels = 0
 
     def corner_count(self, primitive: Mapping[str, Any]) -> int:
         """Number of corners of the triangles, as declared."""
@@ -188,20 +194,24 @@ class _Accessors:
         """`(h, w, 3)` image of a texture."""
         from PIL import Image, UnidentifiedImageError
 
-        source = self.tree["images"][_index(self.tree["textures"][_index(number)]["source"])]
+        image_number = _index(self.tree["textures"][_index(number)]["source"])
+        if image_number in self._images:
+            return self._images[image_number]
+        source = self.tree["images"][image_number]
         if "bufferView" not in source:
             raise InputError(self._path, "has its texture in another file: export it with embedded textures")
         try:
             with Image.open(io.BytesIO(self._view(source["bufferView"])), formats=_IMAGES) as image:
-                if image.width * image.height > _MOST_PIXELS:
+                self._pixels += image.width * image.height
+                if self._pixels > _MOST_PIXELS:
                     raise Image.DecompressionBombError
-                return np.asarray(image.convert("RGB"))
+                self._images[image_number] = np.asarray(image.convert("RGB"))
         except UnidentifiedImageError:
             raise damaged_scan(self._path, f"its texture is not a {', '.join(_IMAGES)} image") from None
         except Image.DecompressionBombError:
-            raise InputError(
-                self._path, "has a texture of more than 8192 x 8192 pixels: make it smaller"
-            ) from None
+            problem = "has textures of more than 8192 x 8192 pixels together: make them smaller"
+            raise InputError(self._path, problem) from None
+        return self._images[image_number]
 
     def _floats(self, number: Any) -> FloatArray:
         """Values as numbers; integers that stand for fractions are divided by the largest."""
