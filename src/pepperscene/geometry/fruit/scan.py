@@ -108,7 +108,7 @@ def load_scan(path: Path, up: ScanAxis | None = None, *, colour: bool = False) -
 
     Raises:
         InputError: the file does not exist, cannot be read, is not one closed body after cleaning, has no
-            colours, or has too many triangles and the extra `scan` is not installed.
+            colours, is too large, or has many triangles and the extra `scan` is not installed.
     """
     if path.suffix.lower() not in SCAN_SUFFIXES:
         raise InputError(path, ALLOWED_SCAN)
@@ -118,7 +118,10 @@ def load_scan(path: Path, up: ScanAxis | None = None, *, colour: bool = False) -
         raise InputError(path, f"there is no such file; {ALLOWED_SCAN}") from None
     if up is None:
         up = "y" if path.suffix.lower() == ".glb" else "z"
-    return _load(path, up, colour, status.st_mtime_ns, status.st_size)
+    try:
+        return _load(path, up, colour, status.st_mtime_ns, status.st_size)
+    except MemoryError:
+        raise InputError(path, "needs more memory than there is: simplify it before") from None
 
 
 def check_unit(path: Path, scan: Scan, unit: ScanUnit, diameter_m: float) -> None:

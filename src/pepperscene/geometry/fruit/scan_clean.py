@@ -19,6 +19,7 @@ MAX_TRIANGLES: Final = 25_000
 """Of one scanned fruit; chosen: twelve times a modelled one; points are 1.4 mm apart on a fruit of 80 mm."""
 
 _DECIMALS: Final = 6  # of the greatest extent, to which points are equal; chosen: a tenth of a micrometre
+_SIMPLIFICATIONS: Final = 5  # chosen: two suffice for the poles of a sphere of a thousand meridians
 _DEBRIS: Final = 0.1  # chosen: loose parts below this fraction of the largest one's area are dropped
 _HOLE: Final = 0.15  # chosen: holes up to this fraction of the greatest extent are closed
 _FLAT: Final = 0.02  # chosen: least extent over the greatest; the slimmest peppers have a tenth
@@ -52,11 +53,17 @@ def simplify_scan(path: Path, vertices: FloatArray, faces: IndexArray) -> tuple[
     mesh = trimesh.Trimesh((vertices - low) / extent, faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_DECIMALS)
     mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))
-    fraction = 1.0 - MAX_TRIANGLES / max(len(mesh.faces), MAX_TRIANGLES + 1)
-    points, triangles = simplify(
-        np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), target_reduction=fraction
+    points, triangles = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
+    # It can stop early on needles, and goes on when it starts again.
+    for _ in range(_SIMPLIFICATIONS):
+        fraction = 1.0 - MAX_TRIANGLES / max(len(triangles), MAX_TRIANGLES + 1)
+        points, triangles = simplify(points, triangles, target_reduction=fraction)
+        if len(triangles) <= MAX_TRIANGLES:
+            return low + extent * points.astype(float), triangles.astype(np.intp)
+    problem = (
+        f"cannot be simplified to {MAX_TRIANGLES:,} triangles, only to {len(triangles):,}: remesh it before"
     )
-    return low + extent * points.astype(float), triangles.astype(np.intp)
+    raise InputError(path, problem)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from pepperscene.errors import InputError
 from pepperscene.geometry.fruit.scan_glb import glb_bodies
 from pepperscene.geometry.fruit.scan_triangles import (
     ALLOWED_SCAN,
+    MOST_TRIANGLES,
     ScanTriangles,
     check_count,
     checked_triangles,
@@ -29,9 +30,11 @@ from pepperscene.geometry.fruit.scan_triangles import (
 )
 from pepperscene.geometry.mesh import FloatArray
 
-_MOST_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 200_000_000, ".stl": 200_000_000}
-"""Chosen: two million triangles with colours and textures fit; reading stays below 2 GB of memory."""
+_MOST_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 100_000_000, ".stl": 100_000_000}
+"""Chosen: a million triangles fit, with colours and textures, and are read with less than 2 GB of memory."""
 _MOST_TEXT: Final = 100_000_000
+_MOST_WORDS: Final = 16 * MOST_TRIANGLES  # chosen: coordinates, texture coordinates and normals need 10
+_MOST_MATERIALS: Final = 1_000  # chosen: the time that trimesh takes grows with the square
 
 _STL_HEADER: Final = 84  # bytes: 80 of any content, and the number of triangles (StereoLithography 1989)
 _UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -99,7 +102,16 @@ def _text(content: bytes, path: Path) -> str:
 
 
 def _obj_content(content: bytes, path: Path) -> bytes:
-    return _text(content, path).encode()
+    """The content, if trimesh can read so many words and materials."""
+    text = _text(content, path)
+    words = sum(text.count(space) for space in " \t\n")
+    if words > _MOST_WORDS:
+        problem = f"has {words:,} words, and at most {_MOST_WORDS:,} are read: simplify it before"
+        raise InputError(path, problem)
+    if (materials := text.count("usemtl")) > _MOST_MATERIALS:
+        problem = f"has {materials:,} changes of its material, and at most {_MOST_MATERIALS:,} are read"
+        raise InputError(path, f"{problem}: export it without materials")
+    return text.encode()
 
 
 def _stl_content(content: bytes, path: Path) -> bytes:
@@ -123,6 +135,7 @@ def _stl_content(content: bytes, path: Path) -> bytes:
     text = _text(content, path)
     if "endsolid" not in text.lower():
         raise damaged_scan(path, "the text ends before `endsolid`")
+    check_count(text.count("endloop"), path)
     return text.encode()
 
 
@@ -137,6 +150,10 @@ def _ply_content(content: bytes, path: Path) -> bytes:
         raise damaged_scan(path, "its header has no line `end_header`")
     sizes = _ply_elements(content[:end].decode("latin-1"), path)
     check_count(sum(count for name, count, _ in sizes if name == "face"), path)
+    if (most := max((count for _, count, _ in sizes), default=0)) > 3 * MOST_TRIANGLES:
+        raise InputError(
+            path, f"has {most:,} points, and at most {3 * MOST_TRIANGLES:,} are read: simplify it before"
+        )
     is_text = len(lines) > 1 and lines[1].split()[:2] == [b"format", b"ascii"]
     if not is_text:
         least, rest = sum(count * size for _, count, size in sizes), len(content) - end
@@ -206,7 +223,7 @@ def _guarded(read: Callable[[], list[ScanTriangles]], path: Path) -> list[ScanTr
             warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
             return read()
     except (MemoryError, InputError):
-        raise
+        raise  # the first becomes an error of the whole scan
     except Exception as error:  # the readers of these formats raise many kinds
         # A missing key or index alone, or a missing package, would not be understood.
         message = " ".join(str(error).split())[:200]

@@ -285,6 +285,7 @@ def _texts():
         "words.obj": obj + b"v one two three\n",
         "utf-16.obj": obj.decode().encode("utf-16"),
         "polygon.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f" + b" 1 2 3" * 30_000 + b"\n",
+        "materials.obj": obj + b"".join(b"usemtl a%d\nf 1 2 3\n" % number for number in range(1001)),
         "one line.obj": b"v" + b" 1" * 200_000,
         "no end.stl": encoded(BALL.vertices, BALL.faces, "text stl")[:-60],
         "words.stl": encoded(BALL.vertices, BALL.faces, "text stl").replace(b"vertex", b"vertex x", 3),
@@ -295,6 +296,26 @@ def _texts():
     }
     files = {name: (content, False) for name, content in (refused | bombs).items()}
     return files | {name: (content, True) for name, content in usable.items()}
+
+
+def large_scan():
+    """A coloured sphere of nearly as many triangles as are read, with needles at its poles, as PLY."""
+    count = 700
+    polar, turn = np.pi * np.arange(1, count) / count, 2.0 * np.pi * np.arange(count) / count
+    ring = np.stack([np.cos(turn), np.sin(turn), np.ones(count)], axis=-1)
+    points = ring * np.stack([np.sin(polar), np.sin(polar), np.cos(polar)], axis=-1)[:, None]
+    points = np.concatenate([[[0.0, 0.0, 1.0]], points.reshape(-1, 3), [[0.0, 0.0, -1.0]]])
+    first = 1 + np.arange((count - 1) * count).reshape(count - 1, count)
+    second = np.roll(first, -1, axis=1)
+    faces = [
+        np.stack([np.zeros(count, int), first[0], second[0]], axis=1),
+        np.stack([first[:-1], first[1:], second[:-1]], axis=-1).reshape(-1, 3),
+        np.stack([second[:-1], first[1:], second[1:]], axis=-1).reshape(-1, 3),
+        np.stack([np.full(count, len(points) - 1), second[-1], first[-1]], axis=1),
+    ]
+    colours = np.tile([200, 50, 20, 255], (len(points), 1)).astype(np.uint8)
+    sphere = trimesh.Trimesh(points, np.concatenate(faces), vertex_colors=colours, process=False)
+    return sphere.export(file_type="ply")
 
 
 def special_files(folder):
