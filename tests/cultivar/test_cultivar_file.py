@@ -170,6 +170,11 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
     "one slot without its list": ("organs.node.bears", {"name": "leaf"}, "must be a list"),
     "a number for a table": (f"{FRUIT}.flush", 3, "must be a table"),
     "a number for a scan": ("organs.fruit.scan", 3, "must be a path"),
+    "a number among scans": ("organs.fruit.scan", ["a.ply", 3], "or a list of paths"),
+    "a weight without a scan": ("organs.fruit.scan_weights", [1.0], "one weight for each scan: 0, not 1"),
+    "a weight of a scan that is not positive": ("organs.fruit.scan_weights", [0.0], "greater than 0"),
+    "an unknown unit of a scan": ("organs.fruit.scan_unit", "km", "must be 'm', 'cm', 'mm' or 'in'"),
+    "a word for the colour of a scan": ("organs.fruit.scan_colour", "red", "scan_colour"),
     "a misspelt kind": ("organs.friut", {"calyx": False}, "no kind of this name is inherited"),
     "six lobes": ("organs.fruit.lobes", {"six": 1, "chosen": "x"}, "one of two, three, four, five"),
     "flush too strong": (

@@ -37,7 +37,8 @@ def test_names_every_shipped_cultivar() -> None:
 
 @pytest.mark.parametrize("name", FILES)
 def test_shown_files_load(name: str, tmp_path: Path) -> None:
-    (tmp_path / "fruit.ply").write_text("ply")
+    for scan in ("blocky.ply", "pointed.ply"):
+        (tmp_path / scan).write_text("ply")
     (tmp_path / name).write_text(FILES[name], encoding="utf-8")
     cultivar = load_cultivar(tmp_path / name)
     if name == "cucumber.toml":

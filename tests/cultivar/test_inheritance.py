@@ -81,9 +81,31 @@ def test_paths_are_relative_to_their_file(tmp_path: Path) -> None:
     (tmp_path / "below" / "fruit.PLY").write_text("ply")
     parent = write(tmp_path / "below", "parent.toml", organs={"fruit": {"scan": "fruit.PLY"}})
     child = write(tmp_path, extends="below/parent.toml")
-    scan = load_cultivar(child).kinds["fruit"].scan
+    (scan,) = load_cultivar(child).kinds["fruit"].scans.files
     assert scan == (tmp_path / "below" / "fruit.PLY").resolve()
     assert cultivar_files(child) == (child, parent, shipped_folder("plants") / "kaite.toml", scan)
+
+
+def test_several_scans_have_weights_and_are_files_of_the_cultivar(tmp_path: Path) -> None:
+    for name in ("a.glb", "b.ply"):
+        (tmp_path / name).write_text("scan")
+    scans = {"scan": ["a.glb", "b.ply"], "scan_weights": [2, 1], "scan_unit": "mm", "scan_colour": True}
+    parent = write(tmp_path, "parent.toml", organs={"fruit": scans})
+    fruit = load_cultivar(parent).kinds["fruit"].scans
+    assert fruit is not None
+    files = ((tmp_path / "a.glb").resolve(), (tmp_path / "b.ply").resolve())
+    assert (fruit.files, fruit.weights, fruit.unit, fruit.colour) == (files, (2.0, 1.0), "mm", True)
+    assert cultivar_files(parent)[-2:] == files
+    # A child replaces them by one, or by none.
+    one = {"scan": "b.ply", "scan_weights": []}
+    child = load_cultivar(write(tmp_path, extends="parent.toml", organs={"fruit": one})).kinds["fruit"].scans
+    assert child is not None
+    assert (child.files, child.weights) == (files[1:], ())
+    none = {"scan": [], "scan_weights": []}
+    assert (
+        load_cultivar(write(tmp_path, extends="parent.toml", organs={"fruit": none})).kinds["fruit"].scans
+        is None
+    )
 
 
 ERRORS: dict[str, tuple[dict[str, Any], str, str]] = {
@@ -92,7 +114,7 @@ ERRORS: dict[str, tuple[dict[str, Any], str, str]] = {
     "two parents": ({"extends": ["kaite"]}, "extends", "must be a name or a path"),
     "extends itself": ({"extends": "child.toml"}, "extends", "forms a cycle"),
     "no such scan": ({"organs": {"fruit": {"scan": "fruit.obj"}}}, "organs.fruit.scan", "is not a file"),
-    "unknown scan format": ({"organs": {"fruit": {"scan": "a.glb"}}}, "organs.fruit.scan", ".ply, .stl"),
+    "unknown scan format": ({"organs": {"fruit": {"scan": "a.gltf"}}}, "organs.fruit.scan", ".ply, .stl"),
     "own value": ({"stem": {"parts": 0}}, "stem.parts", "greater than or equal to 1"),
 }  # fmt: skip
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-_DATA_SETS = Path(__file__).parents[1] / "dataset"
-sys.path[:0] = [str(folder) for folder in (_DATA_SETS,) if str(folder) not in sys.path]
+_HELPERS = [str(Path(__file__).parents[1] / folder) for folder in ("dataset", "geometry")]
+sys.path[:0] = [folder for folder in _HELPERS if folder not in sys.path]
 
 
 @pytest.fixture(autouse=True)

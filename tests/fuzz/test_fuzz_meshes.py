@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from fuzzing import EXAMPLES, attempt_file
+from malformed_scans import png, textured
 
 from pepperscene.geometry.fruit import scan as scans
 
@@ -16,13 +17,14 @@ FILES = {
     "binary.ply": BALL.export(file_type="ply"),
     "text.stl": BALL.export(file_type="stl_ascii").encode(),
     "binary.stl": BALL.export(file_type="stl"),
+    "textured.glb": textured(png(2, 2, bytes([0, *6 * [200], 0, *6 * [90]]))),
 }
 
 
 def read(path):
     # Two changes within the resolution of the file system's times would be one for the cache.
     scans._load.cache_clear()
-    scan = scans.load_scan(path)
+    scan = scans.load_scan(path, colour="textured" in path.name)
     assert np.isfinite(scan.points).all()
     assert np.isfinite(scan.normals).all()
     assert np.isfinite(scan.uv).all()

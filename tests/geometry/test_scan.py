@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from organ_meshes import KINDS, check_mesh, merged, mesh_organs, shading_agreement
 
+from pepperscene.camera.colorimetry import srgb_encode
 from pepperscene.classes import OrganClass
+from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.organs import OrganKind
+from pepperscene.cultivar.scans import FruitScans
 from pepperscene.errors import InputError
-from pepperscene.geometry.fruit.scan import MAX_TRIANGLES, load_scan
+from pepperscene.geometry import concatenate_meshes, sphere, write_mesh
+from pepperscene.geometry.fruit.scan import check_unit, choose_scans, load_scan
+from pepperscene.geometry.fruit.scan_clean import MAX_TRIANGLES
+from pepperscene.geometry.fruit.scan_file import read_triangles
+from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.grammar.plant import Organ
 
 CURVE = np.array([[0.1, 0.2, 1.0], [0.11, 0.18, 0.92]])
@@ -37,9 +46,10 @@ def save(body, path):
     return path
 
 
-def scanned_fruit(path, *, calyx=False, **measures):
-    """The mesh of a fruit that uses the scan, after a calyx if there is one."""
-    kinds = {**KINDS, "berry": OrganKind("fruit", OrganClass.PEPPER, "fruit", path)}
+def scanned_fruit(*paths, calyx=False, scans=None, **measures):
+    """The mesh of a fruit that uses one of the scans, after a calyx if there is one."""
+    scans = FruitScans(paths, **(scans or {}))
+    kinds = {**KINDS, "berry": OrganKind("fruit", OrganClass.PEPPER, "fruit", scans)}
     shape = {"length_m": 0.09, "diameter_m": 0.07, "seed": 0.3} | measures
     organs = [Organ("berry", 0 if calyx else -1, 4, CURVE, UP, shape)]
     if calyx:
@@ -204,3 +214,124 @@ def test_scan_is_loaded_again_after_its_file_changes(tmp_path):
     save(apple(2), path)
     os.utime(path, ns=(1, 1))
     assert len(load_scan(path).faces) < len(first.faces)
+
+
+def test_scan_is_chosen_by_weight_and_by_the_seed_of_the_fruit(tmp_path):
+    paths = tuple(save(apple(2), tmp_path / f"{name}.ply") for name in "abc")
+    seeds = np.random.default_rng(5).random(4000)
+    fruit = [Organ("berry", -1, 0, CURVE, UP, {"seed": seed}) for seed in seeds]
+    chosen = choose_scans(fruit, FruitScans(paths, (2.0, 1.0, 5.0)))
+    # Four standard deviations of a binomial count.
+    for path, share in zip(paths, (0.25, 0.125, 0.625), strict=True):
+        count, deviation = chosen.count(path), np.sqrt(4000 * share * (1.0 - share))
+        assert count == pytest.approx(4000 * share, abs=4.0 * deviation)
+    assert chosen[::-1] == choose_scans(fruit[::-1], FruitScans(paths, (2.0, 1.0, 5.0)))
+    # Without weights all are as frequent.
+    even = choose_scans(fruit, FruitScans(paths))
+    assert min(even.count(path) for path in paths) > 4000 / 3 - 4.0 * np.sqrt(4000 * 2 / 9)
+
+
+def test_fruit_of_several_scans_have_the_mesh_of_the_chosen_one(tmp_path):
+    scans = save(apple(2), tmp_path / "a.ply"), save(apple(3), tmp_path / "b.ply")
+    alone = [scanned_fruit(path) for path in scans]
+    for seed in (0.1, 0.4, 0.7, 0.95):
+        mesh = scanned_fruit(*scans, seed=seed)
+        expected = alone[len(mesh.faces) == len(alone[1].faces)]
+        np.testing.assert_array_equal(mesh.vertices, expected.vertices)
+        np.testing.assert_array_equal(mesh.faces, expected.faces)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1e-3), ("cm", 0.1), ("mm", 1.0), ("in", 1.0 / 25.4)])
+def test_unit_of_a_scan_is_checked(tmp_path, unit, scale):
+    # An apple of 80 mm, in each unit.
+    path = save(apple(2).apply_scale(scale), tmp_path / "fruit.obj")
+    size = {"diameter_m": 0.08}
+    right = scanned_fruit(path, scans={"unit": unit, **size})
+    np.testing.assert_array_equal(right.vertices, scanned_fruit(path).vertices)
+    wrong = "mm" if unit == "m" else "m"
+    expected = f'it is probably in {unit}, 8[0-9.]+ mm: set scan_unit = "{unit}"'
+    with pytest.raises(InputError, match=f"{wrong}, and fruit of this kind 80 mm on average; {expected}"):
+        scanned_fruit(path, scans={"unit": wrong, **size})
+
+
+def test_scan_that_no_unit_fits_is_refused(tmp_path):
+    path = save(apple(2).apply_scale(1e4), tmp_path / "fruit.ply")
+    with pytest.raises(InputError, match="no unit fits: scale the file, or leave scan_unit out"):
+        scanned_fruit(path, scans={"unit": "mm"})
+    assert len(scanned_fruit(path).faces) == len(apple(2).faces)
+
+
+def test_page_shows_the_error_about_a_unit(tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "reference" / "cultivar.md"
+    scan = replace(load_scan(save(apple(2), tmp_path / "fruit.ply")), diameter=78.4)
+    diameter = load_cultivar("kaite").organs["fruit"].diameter.mean
+    with pytest.raises(InputError) as error:
+        check_unit(Path("blocky.ply"), scan, "m", diameter)
+    assert f"\n{error.value}\n" in page.read_text(encoding="utf-8")
+
+
+def painted(body):
+    """A body whose linear colour is its position in its box."""
+    place = (body.vertices - body.bounds[0]) / np.ptp(body.bounds, axis=0)
+    body.visual.vertex_colors = np.round(255.0 * srgb_encode(place)).astype(np.uint8)
+    return body
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj"])
+@pytest.mark.parametrize("subdivisions", [4, 6])
+def test_points_have_the_colours_of_the_scan(tmp_path, suffix, subdivisions):
+    # The finer one is simplified.
+    body = painted(apple(subdivisions))
+    mesh = scanned_fruit(save(body, tmp_path / f"fruit.{suffix}"), scans={"colour": True}, residue=0.4)
+    assert mesh.colour.shape == (len(mesh.vertices), 3)
+    # Up, right and along of the fruit are x, -y and -z of the file, in the box of the body.
+    right = np.cross(AXIS, UP) / np.linalg.norm(np.cross(AXIS, UP))
+    axes = np.stack([np.cross(right, AXIS), -right, -AXIS])
+    place = (mesh.vertices - CURVE[0]) @ axes.T
+    place = (place - place.min(axis=0)) / np.ptp(place, axis=0)
+    # Half a code at the bright end is 0.5 %; where points are merged, their mean is half an edge away.
+    assert np.abs(mesh.colour - place).max() < 0.03
+    assert np.abs(mesh.colour - place).mean() < 0.006
+    # The colours hold its scars.
+    assert mesh.appearances[0].residue == 0.0
+
+
+def test_colours_do_not_change_the_shape(tmp_path):
+    path = save(painted(apple(3)), tmp_path / "fruit.ply")
+    plain, coloured = scanned_fruit(path), scanned_fruit(path, scans={"colour": True})
+    assert plain.colour is None
+    for name in ("vertices", "normals", "uv", "state", "faces"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(coloured, name))
+
+
+def test_organs_without_a_scan_keep_their_pigments(tmp_path):
+    path = save(painted(apple(3)), tmp_path / "fruit.ply")
+    mesh = scanned_fruit(path, calyx=True, scans={"colour": True})
+    fruit = mesh.vertex_instance == 1
+    assert np.all(mesh.colour[fruit] >= 0.0)
+    assert np.all(mesh.colour[~fruit] == PIGMENTS)
+    # Colours follow their vertices into parts of the mesh, and out of meshes without any.
+    assert np.all(mesh.select_instances([0]).colour == PIGMENTS)
+    np.testing.assert_array_equal(mesh.without_triangles(np.array([0])).colour, mesh.colour[fruit])
+    joined = concatenate_meshes([sphere([0.0, 0.0, 0.0], 0.1), mesh])
+    np.testing.assert_array_equal(joined.colour[-len(mesh.vertices) :], mesh.colour)
+    assert np.all(joined.colour[: -len(mesh.vertices)] == PIGMENTS)
+
+
+def test_mesh_file_of_a_plant_has_the_colours_of_the_scan(tmp_path):
+    scan = save(painted(apple(3)), tmp_path / "fruit.ply")
+    mesh = scanned_fruit(scan, calyx=True, scans={"colour": True})
+    write_mesh(mesh, tmp_path / "plant.glb", {"fruit": np.zeros((2, 3)), "calyx": np.zeros((2, 3))})
+    found = read_triangles(tmp_path / "plant.glb", colour=True)
+    # The node of the fruit is below that of the calyx, which is black.
+    fruit = mesh.vertex_instance == 1
+    calyx = np.count_nonzero(~fruit)
+    assert np.all(found.colours[:calyx] == 0.0)
+    np.testing.assert_allclose(found.colours[calyx:], mesh.colour[fruit], atol=0.51 / 255)
+
+
+def test_scan_without_colours_cannot_give_any(tmp_path):
+    for suffix in ("stl", "obj", "ply", "glb"):
+        path = save(apple(2), tmp_path / f"fruit.{suffix}")
+        with pytest.raises(InputError, match="has no colours, which scan_colour asks for"):
+            load_scan(path, colour=True)

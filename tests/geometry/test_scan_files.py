@@ -38,17 +38,17 @@ def error_of(folder, suffix, content):
 def test_text_with_a_byte_order_mark_and_any_line_ends_is_read(tmp_path, suffix, mark, ending):
     path = tmp_path / f"fruit.{suffix}"
     path.write_bytes(mark + TEXTS[suffix].replace(b"\n", ending))
-    vertices, faces = read_triangles(path)
-    assert len(faces) == len(BALL.faces)
-    np.testing.assert_allclose(vertices[faces], BALL.triangles, atol=1e-5)
+    read = read_triangles(path)
+    assert len(read.faces) == len(BALL.faces)
+    np.testing.assert_allclose(read.vertices[read.faces], BALL.triangles, atol=1e-5)
 
 
 @pytest.mark.parametrize(("suffix", "content"), [("stl", BINARY_STL), ("ply", BINARY_PLY)])
 def test_binary_files_are_read(tmp_path, suffix, content):
     path = tmp_path / f"fruit.{suffix}"
     path.write_bytes(content)
-    vertices, faces = read_triangles(path)
-    np.testing.assert_allclose(vertices[faces], BALL.triangles, atol=1e-5)
+    read = read_triangles(path)
+    np.testing.assert_allclose(read.vertices[read.faces], BALL.triangles, atol=1e-5)
 
 
 def test_truncated_binary_stl_names_both_lengths(tmp_path):

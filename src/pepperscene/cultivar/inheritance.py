@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from pepperscene.cultivar.scans import SCAN_SUFFIXES
 from pepperscene.document import extends_chain
 from pepperscene.errors import InputError
 from pepperscene.shipped import find_file, is_file
@@ -17,8 +18,6 @@ Chain = list[tuple[Path, Tables]]
 
 _MERGED_DEPTH: Final = {"stem": 2, "pigments": 2, "organs": 3}
 """Tables that are merged with those of the extended file, and the number of parts in a key replaced there."""
-
-SCAN_SUFFIXES: Final = (".obj", ".ply", ".stl")
 
 
 def read_chain(name_or_path: str | Path) -> Chain:
@@ -43,7 +42,7 @@ def cultivar_files(name_or_path: str | Path) -> tuple[Path, ...]:
     """
     files = read_chain(name_or_path)
     organs = _subtables(merge_chain(files).get("organs"))
-    scans = [Path(organ["scan"]) for organ in organs.values() if isinstance(organ.get("scan"), str)]
+    scans = [Path(scan) for organ in organs.values() for scan in _scans(organ)]
     return tuple(dict.fromkeys([file for file, _ in files] + scans))
 
 
@@ -91,16 +90,26 @@ def _form_file(files: Chain, kind: str) -> int | None:
 
 
 def _resolve_scans(path: Path, tables: Tables) -> None:
+    """Replace the paths of all scans by absolute ones."""
     for name, organ in _subtables(tables.get("organs")).items():
-        scan = organ.get("scan")
-        if not isinstance(scan, str):
+        if not (scans := _scans(organ)):
             continue
-        key, file = f"organs.{name}.scan", path.parent / scan
-        if not scan.lower().endswith(SCAN_SUFFIXES):
-            raise InputError(path, f"must be a mesh file: {', '.join(SCAN_SUFFIXES)}", key=key, value=scan)
-        if not is_file(file):
-            raise InputError(path, "is not a file, relative to this one", key=key, value=scan)
-        organ["scan"] = str(file.resolve())
+        key, files = f"organs.{name}.scan", []
+        for scan in scans:
+            if not scan.lower().endswith(SCAN_SUFFIXES):
+                problem = f"must be a mesh file: {', '.join(SCAN_SUFFIXES)}"
+                raise InputError(path, problem, key=key, value=scan)
+            if not is_file(file := path.parent / scan):
+                raise InputError(path, "is not a file, relative to this one", key=key, value=scan)
+            files.append(str(file.resolve()))
+        organ["scan"] = files
+
+
+def _scans(organ: Tables) -> list[str]:
+    """Paths of a kind's scans; none if the value is not one or several texts, which is refused later."""
+    scan = organ.get("scan")
+    scans = [scan] if isinstance(scan, str) else scan
+    return scans if isinstance(scans, list) and all(isinstance(item, str) for item in scans) else []
 
 
 def check_no_scans(where: str, tables: Mapping[str, Any]) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
@@ -29,23 +28,22 @@ from pepperscene.cultivar.notation import (
     Size,
     Width,
 )
+from pepperscene.cultivar.scans import FruitScans, ScanAxis, ScanFiles, ScanUnit, ScanWeights
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
 
-ScanAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 OrganForm = Literal["internode", "node", "stalk", "blade", "peduncle", "calyx", "fruit", "cut", "flower"]
 FORMS: Final[tuple[OrganForm, ...]] = get_args(OrganForm)
 
 
 @dataclass(frozen=True)
 class OrganKind:
-    """Shape, label and surface of an organ kind."""
+    """Shape, label, surface and scans of an organ kind."""
 
     form: OrganForm  # selects the mesh generator
     organ_class: OrganClass  # label of all its pixels
     surface: str  # name of its surface
-    scan: Path | None = None  # file of a scanned mesh to use instead of a generated one, or None
-    scan_up: ScanAxis = "z"  # axis of that file that points to the stalk end
+    scans: FruitScans | None = None  # meshes to use instead of a generated one, or None
 
 
 DEFAULT_KINDS: Final[Mapping[OrganForm, OrganKind]] = MappingProxyType(
@@ -91,12 +89,11 @@ class OrganModel(Document):
 
     @property
     def kind(self) -> OrganKind:
-        """Form, class, surface and scan, with the form's defaults."""
+        """Form, class, surface and scans, with the form's defaults."""
         default = DEFAULT_KINDS[self.form]
         label = default.organ_class if self.organ_class is None else OrganClass[self.organ_class.upper()]
-        scan: Path | None = getattr(self, "scan", None)
-        up: ScanAxis = getattr(self, "scan_up", "z")
-        return OrganKind(self.form, label, self.surface or default.surface, scan, up)
+        scans: FruitScans | None = getattr(self, "scans", None)
+        return OrganKind(self.form, label, self.surface or default.surface, scans)
 
     @property
     def distributions(self) -> dict[str, Distribution]:
@@ -243,12 +240,26 @@ class Fruit(OrganModel):
     ripeness_spread: Fraction = _constant(0.0)  # variation of ripeness within a fruit
     residue: Fraction = _constant(0.0)  # mean cover of the skin with russet, scars and dried spray
     lobes: Lobes = Number(probabilities={"four": 1.0}, chosen="the usual number of a blocky pepper")
-    scan: Path | None = None  # a mesh file to use instead of a generated mesh
-    scan_up: ScanAxis = "z"  # axis of that file that points to the stalk end
+    scan: ScanFiles = ()  # mesh files to use instead of a generated mesh; each fruit uses one
+    scan_weights: ScanWeights = ()  # relative frequency of each of them; equal if empty
+    scan_up: ScanAxis | None = None  # axis of the files that points to the stalk end; None: of the format
+    scan_unit: ScanUnit | None = None  # of the files, whose size is then checked
+    scan_colour: bool = False  # whether fruit have the colours of the files, not those of pigments
     calyx: bool = True  # whether it has one
+
+    @property
+    def scans(self) -> FruitScans | None:
+        """The scans to use, or None."""
+        if not self.scan:
+            return None
+        up, unit, colour = self.scan_up, self.scan_unit, self.scan_colour
+        return FruitScans(self.scan, self.scan_weights, up, unit, colour, self.diameter.mean)
 
     @model_validator(mode="after")
     def _check_limits(self) -> Self:
+        if self.scan_weights and len(self.scan_weights) != len(self.scan):
+            weights, files = len(self.scan_weights), len(self.scan)
+            raise ValueError(f"scan_weights must have one weight for each scan: {files}, not {weights}")
         ripe, descent = self.ripe_fraction, self.ripe_descent
         if ripe.high + descent.high > 1.0 + 1e-9 or ripe.low - descent.high < -1e-9:
             raise ValueError(

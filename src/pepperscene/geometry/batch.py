@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.cultivar.organs import OrganForm
 from pepperscene.geometry.mesh import FloatArray, IndexArray
@@ -103,6 +104,7 @@ class MeshBatch:
     uv: FloatArray  # `(n, v, 2)`
     state: FloatArray  # `(n, v)`
     faces: IndexArray  # `(f, 3)` of each organ
+    colour: NDArray[np.floating] | None = None  # `(n, v, 3)` linear sRGB, or None if pigments give it
 
 
 def subdivisions(count: int, detail: float, minimum: int) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pepperscene.camera.colorimetry import srgb_decode
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.errors import InputError
-from pepperscene.geometry.mesh import Mesh, SingleArray
+from pepperscene.geometry.mesh import PIGMENTS, Mesh
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -62,7 +62,7 @@ def mesh_files(
     """Encode a mesh as a file, and as a second one for the materials of an OBJ.
 
     - `.glb`: a node for each organ below the node of its parent, with its class, kind, surface, phytomer and
-      mean pigment state as extras; y up, as glTF requires.
+      mean pigment state as extras, and the colours of a scan at its points; y up, as glTF requires.
     - `.obj`: a group for each organ, a material for each class and surface in the colour of the class, in a
       second file, `.mtl`; z up.
     - `.ply`: class colours, uv and pigment state at the vertices; class and instance of the faces; z up.
@@ -105,8 +105,8 @@ def write_mesh(
     return tuple(files)
 
 
-def _instance_meshes(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, SingleArray, Trimesh]]:
-    """Index, instance, surface, mean state, uv and body of the instances that have triangles, in order."""
+def _instance_meshes(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, NDArray[np.uint32], Trimesh]]:
+    """Index, instance, surface, mean state, vertices and body of each instance with triangles, in order."""
     import trimesh
 
     for index, item in enumerate(mesh.instances):
@@ -118,7 +118,7 @@ def _instance_meshes(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, Si
             body = trimesh.Trimesh(
                 mesh.vertices[used], faces.reshape(-1, 3), vertex_normals=mesh.normals[used], process=False
             )
-            yield index, item, surface, state, mesh.uv[used], body
+            yield index, item, surface, state, used, body
 
 
 def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) -> bytes:
@@ -130,12 +130,15 @@ def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) ->
     scene.graph.update(frame_from="world", frame_to="plant", matrix=_Y_UP)
     materials: dict[str, Any] = {}
     factors: dict[str, list[float]] = {}
-    for index, item, surface, state, uv, body in _instance_meshes(mesh):
-        # Organs that look the same share a material.
-        step = round(STATE_STEPS * state)
-        material = f"{_word(surface)}_{step}"
+    for index, item, surface, state, used, body in _instance_meshes(mesh):
+        # Organs that look the same share a material. Colours of a scan multiply a white one.
+        step, scanned = round(STATE_STEPS * state), mesh.colours_of(used)
+        is_scanned = scanned is not None and scanned[0, 0] != PIGMENTS
+        material = f"{_word(surface)}_scan" if is_scanned else f"{_word(surface)}_{step}"
         if material not in materials:
-            factors[material] = _base_colour(item.organ_class, step, colours.get(surface))
+            factors[material] = (
+                [1.0] * 4 if is_scanned else _base_colour(item.organ_class, step, colours.get(surface))
+            )
             materials[material] = PBRMaterial(
                 name=material,
                 baseColorFactor=factors[material],
@@ -143,7 +146,10 @@ def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) ->
                 roughnessFactor=_ROUGHNESS.get(surface, _OTHER_ROUGHNESS),
                 doubleSided=True,
             )
-        body.visual = trimesh.visual.TextureVisuals(uv=uv, material=materials[material])
+        body.visual = trimesh.visual.TextureVisuals(uv=mesh.uv[used], material=materials[material])
+        if scanned is not None and is_scanned:
+            linear = np.round(255.0 * np.pad(scanned, ((0, 0), (0, 1)), constant_values=1.0))
+            body.visual.vertex_attributes["color"] = linear.astype(np.uint8)
         scene.add_geometry(
             body,
             node_name=names[index],
@@ -190,7 +196,7 @@ def _encode_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
 
     names, scene = organ_names(mesh), trimesh.Scene()
     materials: dict[str, Any] = {}
-    for index, item, surface, _, uv, body in _instance_meshes(mesh):
+    for index, item, surface, _, used, body in _instance_meshes(mesh):
         organ_class = item.organ_class
         material = f"{organ_class.name.lower()}_{_word(surface)}"
         if material not in materials:
@@ -199,7 +205,7 @@ def _encode_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
             materials[material] = SimpleMaterial(
                 diffuse=colour, ambient=colour, specular=black, glossiness=1.0 + len(materials), name=material
             )
-        body.visual = trimesh.visual.TextureVisuals(uv=uv, material=materials[material])
+        body.visual = trimesh.visual.TextureVisuals(uv=mesh.uv[used], material=materials[material])
         scene.add_geometry(body, node_name=names[index], geom_name=names[index])
     library = Path(name).with_suffix(".mtl").name
     text, others = trimesh.exchange.obj.export_obj(

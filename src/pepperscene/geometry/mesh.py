@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,10 @@ from pepperscene.classes import Appearance, Instance, OrganClass
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.intp]
+
+
+PIGMENTS: Final = -1.0
+"""In place of each component of a vertex colour: the pigments of the surface give the colour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +52,8 @@ class Mesh:
         instances: the organs that the mesh consists of, as labels distinguish them.
         appearances: of organs, as light distinguishes them. Organs that are merged into one instance keep
             theirs, so that light does not depend on labels.
+        colour: `(v, 3)` float32, reflectance as linear sRGB in [0, 1] of organs that have it from a scan, and
+            `PIGMENTS` for others; None if no organ has it. All vertices of an organ have it, or none.
     """
 
     vertices: SingleArray
@@ -60,6 +67,7 @@ class Mesh:
     surfaces: tuple[str, ...]
     instances: tuple[Instance, ...]
     appearances: tuple[Appearance, ...]
+    colour: SingleArray | None = None
 
     @property
     def face_class(self) -> NDArray[np.uint8]:
@@ -187,6 +195,7 @@ class Mesh:
                 for item in (self.instances[index] for index in indices)
             ),
             appearances=tuple(self.appearances[index] for index in appearances),
+            colour=self.colours_of(used),
         )
 
     def without_triangles(self, instances: IndexArray) -> Mesh:
@@ -209,7 +218,12 @@ class Mesh:
             face_instance=self.face_instance.take(kept),
             face_surface=self.face_surface.take(kept),
             face_appearance=self.face_appearance.take(kept),
+            colour=self.colours_of(used),
         )
+
+    def colours_of(self, vertices: NDArray[np.bool_] | NDArray[np.integer] | slice) -> SingleArray | None:
+        """Colours of some vertices, or None if the mesh has none."""
+        return None if self.colour is None else self.colour[vertices]
 
     def with_plant(self, plant: int) -> Mesh:
         """Return the mesh with all its instances assigned to a plant of a scene, by its number."""
@@ -273,6 +287,19 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
         surfaces=names,
         instances=tuple(instances),
         appearances=tuple(number),
+        colour=_concatenate_colours(meshes),
+    )
+
+
+def _concatenate_colours(meshes: Sequence[Mesh]) -> SingleArray | None:
+    """Colours of the vertices of all meshes, or None if none has any."""
+    if all(mesh.colour is None for mesh in meshes):
+        return None
+    return np.concatenate(
+        [
+            np.full((len(mesh.vertices), 3), PIGMENTS, np.float32) if mesh.colour is None else mesh.colour
+            for mesh in meshes
+        ]
     )
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from pepperscene.classes import Appearance, Instance
 from pepperscene.cultivar.organs import OrganForm
+from pepperscene.cultivar.scans import FruitScans
 from pepperscene.geometry.batch import MeshBatch, form_indices
 from pepperscene.geometry.blade.blades import mesh_blades
 from pepperscene.geometry.fruit.calyx import mesh_calyces
@@ -19,8 +21,14 @@ from pepperscene.geometry.fruit.fruits import (
     pericarp_shoulders,
 )
 from pepperscene.geometry.fruit.pericarp import build_pericarps
-from pepperscene.geometry.fruit.scan import load_scan, mesh_scanned_fruits, scan_shoulders
-from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray
+from pepperscene.geometry.fruit.scan import (
+    check_unit,
+    choose_scans,
+    load_scan,
+    mesh_scanned_fruits,
+    scan_shoulders,
+)
+from pepperscene.geometry.mesh import PIGMENTS, FloatArray, IndexArray, Mesh, SingleArray
 from pepperscene.geometry.tubes.flower import mesh_flowers
 from pepperscene.geometry.tubes.stalk import mesh_cuts, mesh_peduncles, mesh_stalks
 from pepperscene.geometry.tubes.stem import mesh_internodes, mesh_nodes
@@ -84,6 +92,8 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
         owners.append(np.repeat(indices, len(batch.faces)).astype(np.uint32))
         vertex += n * count
     face_instance = np.concatenate(owners)
+    # The colours of a scan hold its scars and residue.
+    coloured = {index for indices, batch in parts if batch.colour is not None for index in indices.tolist()}
     return Mesh(
         vertices=_join([batch.vertices.reshape(-1, 3) for _, batch in parts]),
         normals=_join([batch.normals.reshape(-1, 3) for _, batch in parts]),
@@ -100,13 +110,26 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
         ),
         appearances=tuple(
             Appearance(
-                residue=organ.measures.get("residue", 0.0),
+                residue=0.0 if index in coloured else organ.measures.get("residue", 0.0),
                 ageing=organ.measures.get("ageing", 0.0),
                 variant=int(organ.measures.get("seed", 0.0) * 2.0**16) % 2**16,
             )
-            for organ in plant.organs
+            for index, organ in enumerate(plant.organs)
         ),
+        colour=_join_colours([batch for _, batch in parts]) if coloured else None,
     )
+
+
+def _join_colours(batches: Sequence[MeshBatch]) -> SingleArray:
+    """Colours of all parts, `PIGMENTS` for those that have none."""
+    colours = np.full((sum(batch.state.size for batch in batches), 3), PIGMENTS, np.float32)
+    first = 0
+    for batch in batches:
+        stop = first + batch.state.size
+        if batch.colour is not None:
+            colours[first:stop] = batch.colour.reshape(-1, 3)
+        first = stop
+    return colours
 
 
 def _join(values: Sequence[FloatArray]) -> SingleArray:
@@ -121,22 +144,21 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
     modelled = None
     if fruit.size:
         # The modelled fruit share a grid, and so do those that use the same scan.
-        kinds = [plant.kinds[plant.organs[index].kind] for index in fruit]
-        scans = [(kind.scan, kind.scan_up) for kind in kinds]
-        groups = [np.flatnonzero([scan == used for scan in scans]) for used in dict.fromkeys(scans)]
-        shoulders = []
-        for group in groups:
-            organs, (path, up) = [plant.organs[index] for index in fruit[group]], scans[group[0]]
-            if path is None:
+        groups, shoulders = _same_scan(plant, fruit), []
+        for (scans, path), group in groups.items():
+            organs = [plant.organs[index] for index in fruit[group]]
+            if scans is None or path is None:
                 pericarps = build_pericarps(organs, detail)
                 parts.append((fruit[group], mesh_fruits(organs, pericarps)))
                 shoulders.append(pericarp_shoulders(pericarps))
             else:
-                scan = load_scan(path, up)
+                scan = load_scan(path, scans.up, colour=scans.colour)
+                if scans.unit is not None:
+                    check_unit(path, scan, scans.unit, scans.diameter_m)
                 parts.append((fruit[group], mesh_scanned_fruits(organs, scan)))
                 shoulders.append(scan_shoulders(organs, scan))
         frames = fruit_frames([plant.organs[index] for index in fruit])
-        modelled = frames, concatenate_shoulders(shoulders, np.argsort(np.concatenate(groups)))
+        modelled = frames, concatenate_shoulders(shoulders, np.argsort(np.concatenate(list(groups.values()))))
     if calyx.size:
         organs = [plant.organs[index] for index in calyx]
         # The fruit grows out of the calyx, or out of the same fruit stalk.
@@ -148,3 +170,13 @@ def _fruit_parts(plant: Plant, detail: float) -> list[Part]:
         stalks = [plant.organs[organ.parent] if organ.parent >= 0 else None for organ in organs]
         parts.append((calyx, mesh_calyces(organs, stalks, np.array(under), modelled, detail)))
     return parts
+
+
+def _same_scan(plant: Plant, fruit: IndexArray) -> dict[tuple[FruitScans | None, Path | None], IndexArray]:
+    """Positions in `fruit` of those that share a scan, by the scans of their kind and the chosen file."""
+    chosen: list[tuple[FruitScans | None, Path | None]] = []
+    for index in fruit:
+        organ = plant.organs[index]
+        scans = plant.kinds[organ.kind].scans
+        chosen.append((scans, None if scans is None else choose_scans([organ], scans)[0]))
+    return {used: np.flatnonzero([one == used for one in chosen]) for used in dict.fromkeys(chosen)}

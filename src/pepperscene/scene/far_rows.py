@@ -224,6 +224,7 @@ def _repeated_plant(plant: Mesh, rotations: NDArray[np.float64], bases: NDArray[
         surfaces=plant.surfaces,
         instances=(Instance(OrganClass.BACKGROUND, ""),) * (n * organs),
         appearances=plant.appearances,
+        colour=None if plant.colour is None else np.tile(plant.colour, (n, 1)),
     )
 
 

@@ -51,6 +51,7 @@ class Triangles:
             face_instance=mesh.face_instance[self.source],
             face_surface=mesh.face_surface[self.source],
             face_appearance=mesh.face_appearance[self.source],
+            colour=mesh.colours_of(self.vertices),
         )
 
 

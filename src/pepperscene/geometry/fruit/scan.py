@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from pepperscene.cultivar.organs import ScanAxis
+from pepperscene.cultivar.scans import SCAN_SUFFIXES, UNIT_M, FruitScans, ScanAxis, ScanUnit
 from pepperscene.errors import InputError
-from pepperscene.geometry.batch import MeshBatch, read_positive
+from pepperscene.geometry.batch import MeshBatch, hash_uniform, read_measure, read_positive
 from pepperscene.geometry.fruit.fruits import (
     SHOULDER_COLUMNS,
     SHOULDER_EXTENT,
@@ -21,22 +22,13 @@ from pepperscene.geometry.fruit.fruits import (
     fruit_frames,
     ripeness,
 )
-from pepperscene.geometry.fruit.scan_file import ALLOWED_SCAN, FORMATS, read_triangles
-from pepperscene.geometry.mesh import FloatArray, IndexArray
+from pepperscene.geometry.fruit.scan_clean import CleanBody, clean_scan, simplify_scan
+from pepperscene.geometry.fruit.scan_colours import transfer_colours
+from pepperscene.geometry.fruit.scan_file import read_triangles
+from pepperscene.geometry.fruit.scan_triangles import ALLOWED_SCAN
+from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 from pepperscene.geometry.spine import normalize
 from pepperscene.grammar.plant import Organ
-
-if TYPE_CHECKING:
-    import trimesh
-
-MAX_TRIANGLES: Final = 25_000
-"""Of one scanned fruit; chosen: twelve times a modelled one; points are 1.4 mm apart on a fruit of 80 mm."""
-
-_DECIMALS: Final = 6  # of the greatest extent, to which points are equal; chosen: a tenth of a micrometre
-_DEBRIS: Final = 0.1  # chosen: loose parts below this fraction of the largest one's area are dropped
-_HOLE: Final = 0.15  # chosen: holes up to this fraction of the greatest extent are closed
-_FLAT: Final = 0.02  # chosen: least extent over the greatest; the slimmest peppers have a tenth
-
 
 _UPRIGHT: Final[dict[ScanAxis, FloatArray]] = {
     "z": np.eye(3),
@@ -58,6 +50,21 @@ class Scan:
     uv: FloatArray  # `(v, 2)` u around from the upper side, v the angle at the middle from the stalk, over pi
     faces: IndexArray  # `(f, 3)` counter-clockwise seen from outside
     shoulders: Shoulders  # of this one fruit
+    diameter: float  # of the body in the file's unit
+    colours: SingleArray | None = None  # `(v, 3)` linear sRGB, or None if they are not used
+
+
+_WHICH_SCAN: Final = 341  # salt
+
+
+def choose_scans(organs: Sequence[Organ], scans: FruitScans) -> list[Path]:
+    """Choose the file of each fruit by the weights; it depends on the seed of the fruit alone."""
+    if len(scans.files) == 1:
+        return [scans.files[0]] * len(organs)
+    weights = np.array(scans.weights or [1.0] * len(scans.files))
+    bounds = np.cumsum(weights[:-1]) / weights.sum()
+    chance = hash_uniform(read_measure(organs, "seed", 0.0), _WHICH_SCAN, 1)[:, 0]
+    return [scans.files[number] for number in np.searchsorted(bounds, chance, side="right")]
 
 
 def mesh_scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
@@ -68,7 +75,9 @@ def mesh_scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
     length, diameter = read_positive(organs, "length_m"), read_positive(organs, "diameter_m")
     stretch = np.stack([diameter, diameter, length], axis=1)[:, None]
     frames = fruit_frames(organs)
-    local = scan.points * stretch
+    local, colour = scan.points * stretch, None
+    if scan.colours is not None:
+        colour = np.broadcast_to(scan.colours, (len(organs), *scan.colours.shape))
     return MeshBatch(
         frames.to_plant(local),
         # Normals transform with the inverse of the stretch.
@@ -76,6 +85,7 @@ def mesh_scanned_fruits(organs: Sequence[Organ], scan: Scan) -> MeshBatch:
         np.broadcast_to(scan.uv, (len(organs), *scan.uv.shape)),
         np.clip(ripeness(organs, local / (0.5 * diameter)[:, None, None]), 0.0, 1.0),
         scan.faces,
+        colour,
     )
 
 
@@ -85,157 +95,106 @@ def scan_shoulders(organs: Sequence[Organ], scan: Scan) -> Shoulders:
     return Shoulders(diameter[:, None] * scan.shoulders.extent, length[:, None, None] * scan.shoulders.along)
 
 
-def load_scan(path: Path, up: ScanAxis = "z") -> Scan:
+def load_scan(path: Path, up: ScanAxis | None = None, *, colour: bool = False) -> Scan:
     """Load a scanned fruit; it is cached until its file changes.
 
     Units and position do not matter. Equal points are merged, degenerate and duplicate triangles and loose
-    debris dropped, small holes closed, faces turned outwards. Above 25,000 triangles it is simplified by the
-    package fast-simplification (Garland & Heckbert 1997, "Surface simplification using quadric error
-    metrics").
+    debris dropped, small holes closed, faces turned outwards. Above 25,000 triangles it is simplified.
 
     Args:
-        path: OBJ, PLY or STL file, with the stalk cut off.
-        up: axis of the file that points to the stalk end.
+        path: GLB, OBJ, PLY or STL file, with the stalk cut off.
+        up: axis of the file that points to the stalk end; None for y in a GLB and z in other files.
+        colour: whether to read its colours.
 
     Raises:
-        InputError: the file does not exist, cannot be read, is not one closed body after cleaning, or has too
-            many triangles and the extra `scan` is not installed.
+        InputError: the file does not exist, cannot be read, is not one closed body after cleaning, has no
+            colours, is too large, or has many triangles and the extra `scan` is not installed.
     """
-    if path.suffix.lower() not in FORMATS:
+    if path.suffix.lower() not in SCAN_SUFFIXES:
         raise InputError(path, ALLOWED_SCAN)
     try:
         status = path.stat()
-    except OSError:
+    except (OSError, ValueError):
         raise InputError(path, f"there is no such file; {ALLOWED_SCAN}") from None
-    return _load(path, up, status.st_mtime_ns, status.st_size)
+    if up is None:
+        up = "y" if path.suffix.lower() == ".glb" else "z"
+    try:
+        return _load(path, up, colour, status.st_mtime_ns, status.st_size)
+    except MemoryError:
+        raise InputError(path, "needs more memory than there is: simplify it before") from None
+
+
+def check_unit(path: Path, scan: Scan, unit: ScanUnit, diameter_m: float) -> None:
+    """Check that a scan has the order of magnitude of the fruit that use it.
+
+    Raises:
+        InputError: its diameter is off by more than half a decade; the message names the unit that fits.
+    """
+
+    def decades(unit: ScanUnit) -> float:
+        return abs(math.log10(scan.diameter * UNIT_M[unit] / diameter_m))
+
+    if decades(unit) <= 0.5:
+        return
+    likely = min(UNIT_M, key=decades)
+    advice = "no unit fits: scale the file, or leave scan_unit out to use its shape alone"
+    if decades(likely) <= 0.5:
+        size = f"{1e3 * scan.diameter * UNIT_M[likely]:.3g} mm"
+        advice = f'it is probably in {likely}, {size}: set scan_unit = "{likely}"'
+    fruit = f"fruit of this kind {1e3 * diameter_m:.3g} mm on average"
+    raise InputError(path, f"has a diameter of {scan.diameter:.3g} {unit}, and {fruit}; {advice}")
 
 
 @lru_cache(maxsize=16)
-def _load(path: Path, up: ScanAxis, _changed_ns: int, _size: int) -> Scan:
+def _load(path: Path, up: ScanAxis, colour: bool, _changed_ns: int, _size: int) -> Scan:
     """The scan in a file of that modification time and size."""
-    vertices, faces = read_triangles(path)
-    return _unit_size(path, _clean(path, *_simplify(path, vertices @ _UPRIGHT[up].T, faces)))
-
-
-def _clean(path: Path, vertices: FloatArray, faces: IndexArray) -> trimesh.Trimesh:
-    """One closed body with its faces outwards, its middle at the origin and its greatest extent 1."""
-    import trimesh
-
-    used = vertices[np.unique(faces)]
-    low, high = used.min(axis=0), used.max(axis=0)
-    extent = high - low
-    if not extent.min() > _FLAT * extent.max():
-        raise InputError(path, f"is flat; {ALLOWED_SCAN}")
-    mesh = trimesh.Trimesh((vertices - 0.5 * (low + high)) / extent.max(), faces, process=False)
-    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_DECIMALS)
-    # Needles without area stay if their three points differ: without them the surface would be open.
-    distinct = (mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1)
-    mesh.update_faces(distinct & mesh.unique_faces())
-    _keep_largest(path, mesh)
-    trimesh.repair.fix_winding(mesh)
-    mesh = _close_holes(path, mesh)
-    if not (mesh.is_watertight and mesh.is_winding_consistent):
-        raise InputError(path, f"is not closed, or three triangles share an edge; {ALLOWED_SCAN}")
-    if mesh.volume < 0.0:
-        mesh.invert()
-    if not mesh.volume > _FLAT * float(np.prod(mesh.extents)):
-        raise InputError(path, f"encloses no volume; {ALLOWED_SCAN}")
-    return mesh
-
-
-def _keep_largest(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Drop loose debris; refuse a second part that is too large for debris."""
-    import trimesh
-
-    part = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
-    area = np.bincount(part, weights=mesh.area_faces)
-    ascending = np.sort(area)
-    if len(area) > 1 and ascending[-2] > _DEBRIS * ascending[-1]:
-        size = f"{ascending[-2] / ascending[-1]:.0%}"
-        raise InputError(path, f"has several parts, the second {size} as large as the first; {ALLOWED_SCAN}")
-    mesh.update_faces(part == np.argmax(area))
-    mesh.remove_unreferenced_vertices()
-
-
-def _close_holes(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with a fan of triangles around the centre of each small hole; trimesh's have no centre."""
-    import trimesh
-
-    single = trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)
-    if len(single) == 0:
-        return mesh
-    edges = mesh.edges[single]
-    loop = trimesh.graph.connected_component_labels(edges, node_count=len(mesh.vertices))[edges[:, 0]]
-    vertices, faces = [mesh.vertices], [mesh.faces]
-    for number, label in enumerate(np.unique(loop)):
-        rim = edges[loop == label]
-        points = mesh.vertices[rim[:, 0]]
-        width = float(np.ptp(points, axis=0).max())
-        if width > _HOLE:
-            size = f"{width:.0%} of its size, and holes are closed up to {_HOLE:.0%}"
-            raise InputError(path, f"has a hole of {size}; {ALLOWED_SCAN}")
-        vertices.append(points.mean(axis=0, keepdims=True))
-        # A new triangle runs along the edge of the hole the other way than the old one.
-        middle = np.full(len(rim), len(mesh.vertices) + number)
-        faces.append(np.stack([rim[:, 1], rim[:, 0], middle], axis=1))
-    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
-
-
-def _simplify(path: Path, vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray]:
-    """The surface itself, or a simplified one if it has too many triangles.
-
-    It comes before cleaning, which takes a minute for a million triangles.
-    """
-    if len(faces) <= MAX_TRIANGLES:
-        return vertices, faces
-    try:
-        from fast_simplification import simplify
-    except ImportError:
+    read = read_triangles(path, colour=colour)
+    if colour and read.colours is None:
         problem = (
-            f"has {len(faces):,} triangles, and {MAX_TRIANGLES:,} are used; "
-            "`pip install 'pepperscene[scan]'` installs what simplifies it"
+            "has no colours, which scan_colour asks for: save it as PLY, OBJ or GLB with coloured points, "
+            "or as GLB with its texture"
         )
-        raise InputError(path, problem) from None
-    import trimesh
-
-    # In units of its size, because the package computes in single precision; with equal points merged.
-    low, extent = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
-    if not extent > 0.0:
-        raise InputError(path, f"is flat; {ALLOWED_SCAN}")
-    mesh = trimesh.Trimesh((vertices - low) / extent, faces, process=False)
-    mesh.merge_vertices(merge_tex=True, merge_norm=True, digits_vertex=_DECIMALS)
-    mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))
-    fraction = 1.0 - MAX_TRIANGLES / max(len(mesh.faces), MAX_TRIANGLES + 1)
-    points, triangles = simplify(
-        np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), target_reduction=fraction
-    )
-    return low + extent * points.astype(float), triangles.astype(np.intp)
+        raise InputError(path, problem)
+    upright = read.vertices @ _UPRIGHT[up].T
+    # The volume of a surface may be 0 or beyond a number, which is refused.
+    with np.errstate(all="ignore"):
+        body = clean_scan(path, *simplify_scan(path, upright, read.faces))
+    colours = None
+    if read.colours is not None:
+        used = np.unique(read.faces)
+        points = np.asarray(body.mesh.vertices) * body.extent + body.middle
+        colours = transfer_colours(points, upright[used], read.colours[used])
+    return _unit_size(path, body, colours)
 
 
-def _unit_size(path: Path, mesh: trimesh.Trimesh) -> Scan:
+def _unit_size(path: Path, body: CleanBody, colours: SingleArray | None) -> Scan:
     """The scan about its axis, which runs down through the body's centre of mass."""
     import trimesh
     from scipy.spatial import ConvexHull
 
+    mesh = body.mesh
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.intp)
     # Up, right and along are x, -y and -z of the file.
     points = (vertices - mesh.center_mass) * [1.0, -1.0, -1.0]
     points[:, 2] /= np.ptp(points[:, 2])
     hull = points[ConvexHull(points[:, :2]).vertices, :2]
-    points[:, :2] /= float(np.linalg.norm(hull[:, None] - hull, axis=2).max())
+    diameter = float(np.linalg.norm(hull[:, None] - hull, axis=2).max())
+    points[:, :2] /= diameter
     foot = _first_hits(points[faces], np.zeros((1, 2)))[0]
     if not np.isfinite(foot):
         raise InputError(path, f"has no surface over its middle; {ALLOWED_SCAN}")
     points[:, 2] -= foot
     normals = np.array(trimesh.Trimesh(points, faces, process=False).vertex_normals, dtype=float)
-    points, normals, uv, faces = _add_seam(points, normals, faces)
-    return Scan(points, normals, uv, faces, _shoulders(points[faces]))
+    source, uv, faces = _add_seam(points, faces)
+    points = points[source]
+    if colours is not None:
+        colours = colours[source]
+    shoulders = _shoulders(points[faces])
+    return Scan(points, normals[source], uv, faces, shoulders, diameter * body.extent, colours)
 
 
-def _add_seam(
-    points: FloatArray, normals: FloatArray, faces: IndexArray
-) -> tuple[FloatArray, FloatArray, FloatArray, IndexArray]:
-    """The mesh with surface coordinates; points beyond the seam are duplicated and get u = 1.
+def _add_seam(points: FloatArray, faces: IndexArray) -> tuple[IndexArray, FloatArray, IndexArray]:
+    """Old number and surface coordinates of each point, and faces; points beyond the seam are added at u 1.
 
     Triangles across the seam are not cut: on them u is off by up to their own width.
     """
@@ -252,7 +211,7 @@ def _add_seam(
     kept, new_faces = np.unique(new_faces, return_inverse=True)
     uv = np.stack([np.append(u, np.ones(len(duplicated))), np.append(v, v[duplicated])], axis=1)
     source = np.append(np.arange(len(points)), duplicated)[kept]
-    return points[source], normals[source], uv[kept], new_faces.reshape(-1, 3)
+    return source, uv[kept], new_faces.reshape(-1, 3)
 
 
 def _shoulders(triangles: FloatArray) -> Shoulders:

@@ -1,56 +1,117 @@
-"""Triangles of the mesh file of a scanned fruit: OBJ, PLY or STL."""
+"""Triangles and colours of the mesh file of a scanned fruit: GLB, OBJ, PLY or STL.
+
+A file can declare more than it holds, so what it declares is compared with its length before anything is
+allocated.
+"""
 
 from __future__ import annotations
 
 import codecs
 import io
-import re
+import stat
 import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from pepperscene.camera.colorimetry import srgb_decode
 from pepperscene.document import decode_text
 from pepperscene.errors import InputError
-from pepperscene.geometry.mesh import FloatArray, IndexArray
-
-FORMATS: Final = (".obj", ".ply", ".stl")
-ALLOWED_SCAN: Final = (
-    "a scanned fruit must be an OBJ, PLY or STL file with one closed surface, "
-    "upright with its stalk end on top"
+from pepperscene.geometry.fruit.scan_glb import glb_bodies
+from pepperscene.geometry.fruit.scan_triangles import (
+    ALLOWED_SCAN,
+    MOST_TRIANGLES,
+    ScanTriangles,
+    check_count,
+    checked_triangles,
+    damaged_scan,
 )
+from pepperscene.geometry.mesh import FloatArray
 
-_LARGEST_COORDINATE: Final = 1e12
-"""Chosen: a metre in picometres; products of three such numbers do not overflow."""
+_MOST_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 100_000_000, ".stl": 100_000_000}
+"""Chosen: a million triangles fit, with colours and textures, and are read with less than 2 GB of memory."""
+_MOST_TEXT: Final = 100_000_000
+_MOST_WORDS: Final = 16 * MOST_TRIANGLES  # chosen: coordinates, texture coordinates and normals need 10
+_MOST_MATERIALS: Final = 1_000  # chosen: the time that trimesh takes grows with the square
+
 _STL_HEADER: Final = 84  # bytes: 80 of any content, and the number of triangles (StereoLithography 1989)
 _UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _STL_TRIANGLE: Final = 50  # bytes: normal, three corners, two bytes of attributes
+_PLY_HEADER: Final = 65_536  # bytes; chosen: a hundred times as long as any
+_PLY_BYTES: Final[Mapping[str, int]] = {
+    "char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8,
+    "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8,
+}  # fmt: skip
 
 
-def read_triangles(path: Path) -> tuple[FloatArray, IndexArray]:
-    """Vertices `(v, 3)` and faces `(f, 3)` of the file, of all its groups and materials.
+def read_triangles(path: Path, *, colour: bool = False) -> ScanTriangles:
+    """Read the triangles of all groups, nodes and materials of a file.
+
+    Args:
+        path: a name that ends in one of `SCAN_SUFFIXES`.
+        colour: whether to read colours.
 
     Raises:
-        InputError: the file cannot be read, is damaged, or has no triangles.
+        InputError: the file cannot be read, is too large, is damaged, or has no triangles.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror}); {ALLOWED_SCAN}") from None
-    suffix = path.suffix.lower()
-    check = {".obj": _obj_content, ".ply": _ply_content, ".stl": _stl_content}[suffix]
-    bodies = [_body_triangles(body, path) for body in _read_bodies(check(content, path), suffix[1:], path)]
-    bodies = [(vertices, faces) for vertices, faces in bodies if len(faces)]
+    content, suffix = _read_content(path), path.suffix.lower()
+    if suffix == ".glb":
+        bodies = _guarded(lambda: glb_bodies(content, path, colour=colour), path)
+    else:
+        check = {".obj": _obj_content, ".ply": _ply_content, ".stl": _stl_content}[suffix]
+        bodies = _read_bodies(check(content, path), suffix[1:], path, colour=colour)
+    bodies = [checked_triangles(body, path) for body in bodies if len(body.faces)]
     if not bodies:
         raise InputError(path, f"has no triangles; {ALLOWED_SCAN}")
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in bodies)])
-    faces = [faces + start for (_, faces), start in zip(bodies, first, strict=False)]
-    return np.concatenate([vertices for vertices, _ in bodies]), np.concatenate(faces)
+    check_count(sum(len(body.faces) for body in bodies), path)
+    first = np.cumsum([0, *(len(body.vertices) for body in bodies)])
+    faces = np.concatenate([body.faces + start for body, start in zip(bodies, first, strict=False)])
+    return ScanTriangles(np.concatenate([body.vertices for body in bodies]), faces, _joined_colours(bodies))
+
+
+def _read_content(path: Path) -> bytes:
+    """The bytes of a regular file that is not too long."""
+    most = _MOST_BYTES[path.suffix.lower()]
+    try:
+        status = path.stat()
+        # A device or a pipe may never end.
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(path, f"is not a file; {ALLOWED_SCAN}")
+        content = b"" if status.st_size > most else path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(path, f"there is no such file; {ALLOWED_SCAN}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(path, f"cannot be read ({reason}); {ALLOWED_SCAN}") from None
+    if status.st_size > most:
+        limit = f"{most // 1_000_000} MB, the most that is read of {path.suffix[1:].upper()}"
+        raise InputError(path, f"is longer than {limit}: simplify it before")
+    return content
+
+
+def _text(content: bytes, path: Path) -> str:
+    """The text of a file that is not too long."""
+    if len(content) > _MOST_TEXT:
+        size = _MOST_TEXT // 1_000_000
+        raise InputError(
+            path, f"is longer than {size} MB, the most that is read of text: save it as binary PLY"
+        )
+    return decode_text(content, path)
 
 
 def _obj_content(content: bytes, path: Path) -> bytes:
-    return decode_text(content, path).encode()
+    """The content, if trimesh can read so many words and materials."""
+    text = _text(content, path)
+    words = sum(text.count(space) for space in " \t\n")
+    if words > _MOST_WORDS:
+        problem = f"has {words:,} words, and at most {_MOST_WORDS:,} are read: simplify it before"
+        raise InputError(path, problem)
+    if (materials := text.count("usemtl")) > _MOST_MATERIALS:
+        problem = f"has {materials:,} changes of its material, and at most {_MOST_MATERIALS:,} are read"
+        raise InputError(path, f"{problem}: export it without materials")
+    return text.encode()
 
 
 def _stl_content(content: bytes, path: Path) -> bytes:
@@ -58,6 +119,7 @@ def _stl_content(content: bytes, path: Path) -> bytes:
     count = int.from_bytes(content[80:_STL_HEADER], "little")
     expected = _STL_HEADER + _STL_TRIANGLE * count
     if len(content) >= _STL_HEADER and len(content) == expected:
+        check_count(count, path)
         return content
     # Binary files can begin with "solid" too, but contain zeros.
     is_text = content.lstrip(b"\xef\xbb\xbf \t\r\n")[:5].lower() == b"solid"
@@ -65,78 +127,113 @@ def _stl_content(content: bytes, path: Path) -> bytes:
         if content.startswith(_UTF_16):
             decode_text(content, path)  # raises
         if len(content) < _STL_HEADER:
-            raise _damaged(path, "it is neither text that begins with `solid` nor long enough for a header")
+            raise damaged_scan(
+                path, "it is neither text that begins with `solid` nor long enough for a header"
+            )
         announced = f"its header announces {count} triangles in {expected} bytes"
-        raise _damaged(path, f"{announced}, but it has {len(content)}")
-    text = decode_text(content, path)
+        raise damaged_scan(path, f"{announced}, but it has {len(content)}")
+    text = _text(content, path)
     if "endsolid" not in text.lower():
-        raise _damaged(path, "the text ends before `endsolid`")
+        raise damaged_scan(path, "the text ends before `endsolid`")
+    check_count(text.count("endloop"), path)
     return text.encode()
 
 
 def _ply_content(content: bytes, path: Path) -> bytes:
-    """The content with a complete header; text is normalised."""
+    """The content, of which there is as much as the header announces; text is normalised."""
     content = content.removeprefix(b"\xef\xbb\xbf")
     lines = content[:100].splitlines()
     if not lines or lines[0].strip().lower() != b"ply":
-        raise _damaged(path, "it does not begin with a line `ply`")
-    if b"end_header" not in content:
-        raise _damaged(path, "its header has no line `end_header`")
+        raise damaged_scan(path, "it does not begin with a line `ply`")
+    end = content.find(b"end_header", 0, _PLY_HEADER)
+    if end < 0:
+        raise damaged_scan(path, "its header has no line `end_header`")
+    sizes = _ply_elements(content[:end].decode("latin-1"), path)
+    check_count(sum(count for name, count, _ in sizes if name == "face"), path)
+    if (most := max((count for _, count, _ in sizes), default=0)) > 3 * MOST_TRIANGLES:
+        raise InputError(
+            path, f"has {most:,} points, and at most {3 * MOST_TRIANGLES:,} are read: simplify it before"
+        )
     is_text = len(lines) > 1 and lines[1].split()[:2] == [b"format", b"ascii"]
     if not is_text:
+        least, rest = sum(count * size for _, count, size in sizes), len(content) - end
+        if least > rest:
+            raise damaged_scan(path, f"its header announces {least} bytes or more, but {rest} follow")
         return content
-    text = decode_text(content, path)
-    header, _, body = text.partition("end_header\n")
-    announced = sum(int(count) for count in re.findall(r"(?m)^element\s+\S+\s+(\d{1,12})\s*$", header))
-    if (count := len(body.splitlines())) < announced:
-        raise _damaged(path, f"its header announces {announced} lines, but {count} follow")
+    text = _text(content, path)
+    announced = sum(count for _, count, _ in sizes)
+    if (count := text.partition("end_header\n")[2].count("\n") + 1) < announced:
+        raise damaged_scan(path, f"its header announces {announced} lines, but {count} follow")
     return text.encode()
 
 
-def _read_bodies(content: bytes, file_type: str, path: Path) -> list[Any]:
-    """The meshes of a file."""
+def _ply_elements(header: str, path: Path) -> list[tuple[str, int, int]]:
+    """Name, number and least bytes of each element that the header of a PLY file announces."""
+    elements: list[tuple[str, int, int]] = []
+    for line in header.splitlines():
+        match line.split():
+            case ["element", name, count]:
+                if not (count.isascii() and count.isdecimal() and len(count) < 18):
+                    raise damaged_scan(
+                        path, f"its header announces {count[:30]!r} of the element {name[:30]!r}"
+                    )
+                elements.append((name, int(count), 0))
+            case ["property", *types] if elements:
+                # A list can be empty, but has a number of entries.
+                size = _PLY_BYTES.get(types[1] if types[:1] == ["list"] and len(types) > 1 else types[0])
+                if size is None:
+                    raise damaged_scan(path, f"its header has the line {line[:60]!r}")
+                name, number, sum_before = elements[-1]
+                elements[-1] = name, number, sum_before + size
+    for name, number, size in elements:
+        if number and not size:
+            raise damaged_scan(path, f"its header announces {number} of {name[:30]!r} without properties")
+    return elements
+
+
+def _read_bodies(content: bytes, file_type: str, path: Path, *, colour: bool) -> list[ScanTriangles]:
+    """The meshes of a file of one of the formats that trimesh reads."""
     import trimesh
 
+    def read() -> list[ScanTriangles]:
+        scene = trimesh.load(io.BytesIO(content), file_type=file_type, process=False, skip_materials=True)
+        bodies = list(scene.geometry.values()) if isinstance(scene, trimesh.Scene) else [scene]
+        return [
+            ScanTriangles(body.vertices, body.faces, _point_colours(body) if colour else None)
+            for body in bodies
+            if hasattr(body, "faces")
+        ]
+
+    return _guarded(read, path)
+
+
+def _point_colours(body: Any) -> FloatArray | None:
+    """The colours of a mesh's points, or the means of the colours of the faces around them."""
+    if body.visual.kind not in ("vertex", "face"):
+        return None
+    return srgb_decode(np.asarray(body.visual.vertex_colors)[:, :3] / 255.0)
+
+
+def _guarded(read: Callable[[], list[ScanTriangles]], path: Path) -> list[ScanTriangles]:
+    """What a reader returns; whatever it raises becomes an error about the file."""
     try:
         # NumPy warns of text that is no number, and uses what comes before it.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
-            scene = trimesh.load(io.BytesIO(content), file_type=file_type, process=False, skip_materials=True)
-            bodies = list(scene.geometry.values()) if isinstance(scene, trimesh.Scene) else [scene]
-            return [(body.vertices, body.faces) for body in bodies if hasattr(body, "faces")]
-    except MemoryError:
-        raise
+            return read()
+    except (MemoryError, InputError):
+        raise  # the first becomes an error of the whole scan
     except Exception as error:  # the readers of these formats raise many kinds
         # A missing key or index alone, or a missing package, would not be understood.
-        raise _damaged(path, f"{type(error).__name__}: {error}") from error
+        message = " ".join(str(error).split())[:200]
+        raise damaged_scan(path, f"{type(error).__name__}: {message}") from error
 
 
-def _body_triangles(body: tuple[Any, Any], path: Path) -> tuple[FloatArray, IndexArray]:
-    """Vertices and faces of one mesh, if every face has three corners that exist."""
-    vertices, faces = np.asarray(body[0]), np.asarray(body[1])
-    if len(faces) == 0:
-        return np.empty((0, 3)), np.empty((0, 3), dtype=np.intp)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
-        raise _damaged(path, "its points do not have three coordinates each")
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "fiu":
-        raise _damaged(path, "its faces cannot be divided into triangles")
-    count = len(vertices)
-    exists = (faces >= -count) & (faces < count) & (faces == np.floor(faces))
-    if not exists.all():
-        corner = faces[~exists][0]
-        raise _damaged(path, f"a triangle has the corner {corner:g}, and there are {count} points")
-    # Negative numbers count from the last point.
-    faces = faces.astype(np.intp) % count
-    points = vertices.astype(float)
-    used = points[faces]
-    if not np.isfinite(used).all():
-        raise InputError(path, f"has points that are not finite numbers; {ALLOWED_SCAN}")
-    if np.abs(used).max() > _LARGEST_COORDINATE:
-        problem = f"has a coordinate beyond {_LARGEST_COORDINATE:g}; {ALLOWED_SCAN}"
-        raise InputError(path, problem, value=float(np.abs(used).max()))
-    return points, faces
-
-
-def _damaged(path: Path, reason: str) -> InputError:
-    return InputError(path, f"cannot be read as a mesh ({reason}); {ALLOWED_SCAN}")
+def _joined_colours(bodies: list[ScanTriangles]) -> FloatArray | None:
+    """Colours of all points; None if no body has any, white for a body without."""
+    if all(body.colours is None for body in bodies):
+        return None
+    return np.concatenate(
+        [np.ones_like(body.vertices) if body.colours is None else body.colours for body in bodies]
+    )

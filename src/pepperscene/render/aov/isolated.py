@@ -112,6 +112,7 @@ class IsolatedOrgans:
             normals=mesh.normals[used],
             uv=mesh.uv[used],
             state=mesh.state[used],
+            colour=None,
             faces=faces - np.uint32(used.start),
             face_instance=np.zeros(len(faces), np.uint32),
             face_surface=mesh.face_surface[rows],

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera, expected_electrons
+from pepperscene.errors import ArgumentError
 from pepperscene.render.gradients.detached_sampling import SamplePasses
 from pepperscene.render.gradients.diff_tables import DiffTables, Tables
 from pepperscene.render.gradients.pigment_models import RANGES, Values
@@ -66,7 +67,7 @@ class DifferentiableRenderer:
         flash_nodes_nm: `(m,)` evenly over the range in which the sensor detects the flash.
 
     Raises:
-        InputError: unknown quality.
+        InputError: unknown quality, or fruit have the colours of scans and no pigments.
         ValueError: a surface differs from what the cultivar's pigments make, or `flash_weights` is below 1.
     """
 
@@ -81,6 +82,11 @@ class DifferentiableRenderer:
     ) -> None:
         if flash_weights < 1:
             raise ValueError(f"flash_weights must be at least 1, not {flash_weights}")
+        if scene.mesh.colour is not None:
+            problem = (
+                "has fruit with the colours of scans, which have no pigments to fit: set scan_colour = false"
+            )
+            raise ArgumentError("scene", problem)
         quality = find_quality(quality) if isinstance(quality, str) else quality
         self._camera = camera
 

@@ -35,16 +35,17 @@ def mitsuba_mesh(
 
     Args:
         mesh: world coordinates, metres.
-        bsdf: for Mitsuba's own integrators; it reads state and organ from mesh attributes. None for our
-            integrator, which reads both from a table, and for geometry alone.
+        bsdf: for Mitsuba's own integrators; it reads state, organ and scanned colours from mesh attributes.
+            None for our integrator, which reads them from tables, and for geometry alone.
         coordinates: of the shape.
         face_organ: `(f,)` number of each triangle's organ, for the BSDF.
 
     Raises:
-        ValueError: normals, surface coordinates or states are not finite.
+        ValueError: normals, surface coordinates, states or colours are not finite.
     """
-    for name in ("normals", "uv", "state"):
-        if not np.isfinite(getattr(mesh, name)).all():
+    for name in ("normals", "uv", "state", "colour"):
+        values = getattr(mesh, name)
+        if values is not None and not np.isfinite(values).all():
             raise ValueError(f"the mesh's {name} must be finite numbers")
     mi, _ = mitsuba_modules()
     props = mi.Properties()
@@ -62,6 +63,8 @@ def mitsuba_mesh(
     if bsdf is not None and face_organ is not None:
         shape.add_attribute("vertex_state", 1, np.ascontiguousarray(mesh.state, np.float32))
         shape.add_attribute("face_organ", 1, np.ascontiguousarray(face_organ, np.float32))
+        if mesh.colour is not None:
+            shape.add_attribute("vertex_colour", 3, np.ascontiguousarray(mesh.colour, np.float32).ravel())
     return shape
 
 
@@ -117,12 +120,14 @@ class LightScene:
         optics: of its surfaces.
         face_states: `(f * 4,)` pigment states at the three corners of each triangle, and the number of its
             organ: all that a hit needs of the mesh attributes, in one gather.
+        colours: `(v * 4,)` scanned colours of the vertices, and 0; None if no organ has any.
     """
 
     scene: Any
     shape: Any
     optics: Optics
     face_states: Any
+    colours: Any | None = None
 
     def interaction(self, ray: Any, hit: Any, active: Any) -> Any:
         """Compute what `hit.compute_surface_interaction(ray, RayFlags.All, active)` does.
@@ -155,7 +160,15 @@ class LightScene:
         corners = dr.gather(mi.Vector4f, self.face_states, hit.prim_index, active)
         u, v = hit.prim_uv.x, hit.prim_uv.y
         state = corners.x * (1.0 - u - v) + corners.y * u + corners.z * v
-        return (optics or self.optics).point(si, mi.UInt32(corners.w), state, active, footprint)
+        at_hit, optics = (si, mi.UInt32(corners.w), state, active, footprint), optics or self.optics
+        if self.colours is None:
+            return optics.point(*at_hit)
+        vertices = self.shape.face_indices(hit.prim_index, active)
+        a, b, c = (
+            dr.gather(mi.Vector4f, self.colours, vertex, active)
+            for vertex in (vertices.x, vertices.y, vertices.z)
+        )
+        return optics.point(*at_hit, a * (1.0 - u - v) + b * u + c * v)
 
 
 def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
@@ -168,13 +181,17 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     mesh = scene.mesh
     coordinates = local_coordinates(mesh)
     organs, face_organ = organ_table(scene)
-    optics = Optics.pack(scene.surfaces, first_nm, last_nm, coordinates.unit_m, organs)
+    has_colours = mesh.colour is not None
+    optics = Optics.pack(
+        scene.surfaces, first_nm, last_nm, coordinates.unit_m, organs, has_colours=has_colours
+    )
     shape = mitsuba_mesh(mesh, coordinates=coordinates)
     face_states = np.empty((len(mesh.faces), 4), np.float32)
     face_states[:, :3] = mesh.state[mesh.faces]
     face_states[:, 3] = face_organ
     kernel_scene = mi.load_dict({"type": "scene", "plants": shape})
-    return LightScene(kernel_scene, shape, optics, device_array(face_states))
+    colours = None if mesh.colour is None else device_array(np.pad(mesh.colour, ((0, 0), (0, 1))))
+    return LightScene(kernel_scene, shape, optics, device_array(face_states), colours)
 
 
 @dataclass(frozen=True, eq=False)

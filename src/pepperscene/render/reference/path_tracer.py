@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
+from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.render.kernel.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
 from pepperscene.render.kernel.scene import mitsuba_mesh, organ_table
@@ -36,7 +37,7 @@ _LANES: Final = 1 << 21  # chosen: wavefront of a pass; bounds the memory, and k
 def surface_bsdf() -> Any:
     """Define `Optics` as a Mitsuba BSDF class, once the variant is set.
 
-    The number of the organ is a face attribute, its pigment state a vertex attribute.
+    The number of the organ is a face attribute, its pigment state and scanned colour are vertex attributes.
     """
     mi, dr = mitsuba_modules()
     flags = mi.BSDFFlags
@@ -69,8 +70,12 @@ def surface_bsdf() -> Any:
             state = dr.select(dr.isfinite(state), state, 0.5)
             oriented = shading_normals(si)
             at_hit = oriented, organ, state, active
+            colour = None
+            if self.optics.scanned is not None:
+                colour = si.shape.eval_attribute_3("vertex_colour", si, active)
+                colour = dr.select(dr.isfinite(colour), colour, PIGMENTS)
             if self.rays is None:
-                return oriented, self.optics.point(*at_hit)
+                return oriented, self.optics.point(*at_hit, colour=colour)
             # The integrator does not say which hits are first ones: those whose viewer is the camera are.
             view, to_camera = si.to_world(si.wi), self.rays.origin - si.p
             distance = dr.norm(to_camera)
@@ -79,8 +84,8 @@ def surface_bsdf() -> Any:
             is_first &= dr.dot(view, to_camera) > 0.0
             first = mi.SurfaceInteraction3f(oriented)
             first.t = distance
-            seen = self.optics.point(*at_hit, self.rays.footprint(first))
-            scattered = self.optics.point(*at_hit, None)
+            seen = self.optics.point(*at_hit, self.rays.footprint(first), colour)
+            scattered = self.optics.point(*at_hit, None, colour)
             return oriented, select_point(is_first, seen, scattered)
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
@@ -129,7 +134,8 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
     response = spectral_response(camera, scene)
     grid, coordinates = response.grid_nm, local_coordinates(scene.mesh)
     organs, face_organ = organ_table(scene)
-    optics = Optics.pack(scene.surfaces, float(grid[0]), float(grid[-1]), coordinates.unit_m, organs)
+    limits, has_colours = (float(grid[0]), float(grid[-1])), scene.mesh.colour is not None
+    optics = Optics.pack(scene.surfaces, *limits, coordinates.unit_m, organs, has_colours=has_colours)
     bsdf = surface_bsdf().of(optics)
     mesh = mitsuba_mesh(scene.mesh, bsdf, coordinates, face_organ)
     parts: dict[str, Any] = {"type": "scene", "plants": mesh}

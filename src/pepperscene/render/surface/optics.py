@@ -20,12 +20,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.materials import Surface
 from pepperscene.materials.gloss import BLUR_NODES, LARGEST_BLUR, TABLE_SIZE
 from pepperscene.materials.surface import AGEING_RANGE
 from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
 from pepperscene.render.surface.cuticle import cuticle_tables, narrowest_alpha
 from pepperscene.render.surface.microfacets import GlossLobes
+from pepperscene.render.surface.scanned_colours import ScannedColours
 from pepperscene.render.surface.scattering import SideOpenness, SurfacePoint
 from pepperscene.render.surface.textures import TextureSample, TextureTables
 from pepperscene.render.variant import mitsuba_modules
@@ -61,6 +63,7 @@ class Optics:
             the next node, for the smaller variance and for the larger. After the last node come the means.
         textures: over uv.
         channels: number of sensor channels that `spectra` holds colours for; None if it holds spectra.
+        scanned: reflectance of colours that come from scans; None if there are none.
     """
 
     first_nm: Any
@@ -74,6 +77,7 @@ class Optics:
     openness: Any
     textures: TextureTables
     channels: int | None = None
+    scanned: ScannedColours | None = None
 
     @classmethod
     def pack(
@@ -83,11 +87,14 @@ class Optics:
         last_nm: float,
         unit_m: float = 1.0,
         organs: NDArray[np.float64] | None = None,
+        *,
+        has_colours: bool = False,
     ) -> Optics:
         """Pack surfaces on a wavelength grid over [first_nm, last_nm], and reliefs in local units.
 
         Spectra are constant beyond their ends. `organs` are `(o, 4)` as in the attributes; None for one
-        without residue and ageing for each surface, with its first texture.
+        without residue and ageing for each surface, with its first texture. `has_colours` if `point` is
+        called with colours.
 
         Raises:
             ValueError: there are no surfaces, or textures of one differ in size.
@@ -116,6 +123,7 @@ class Optics:
             sides=device_array(np.stack(sides)),
             openness=device_array(np.stack(openness)),
             textures=TextureTables.pack(surfaces, unit_m),
+            scanned=ScannedColours.pack(grid) if has_colours else None,
         )
 
     def by_channel(self, weights: NDArray[np.float64]) -> Optics:
@@ -126,7 +134,8 @@ class Optics:
         """
         spectra = np.asarray(self.spectra).reshape(-1, len(weights), 4)
         colours = channel_colours(spectra, weights)
-        return replace(self, spectra=device_array(colours), channels=weights.shape[1])
+        scanned = None if self.scanned is None else self.scanned.by_channel(channel_fractions(weights))
+        return replace(self, spectra=device_array(colours), channels=weights.shape[1], scanned=scanned)
 
     def with_colours(
         self, surfaces: Sequence[Surface], grid_nm: NDArray[np.float64], weights: NDArray[np.float64]
@@ -139,10 +148,20 @@ class Optics:
             weights: `(n, c)` response times light there; any scale.
         """
         colours = [channel_colours(spectra_rows(surface, grid_nm), weights) for surface in surfaces]
-        return replace(self, spectra=device_array(np.concatenate(colours)), channels=weights.shape[1])
+        scanned = None
+        if self.scanned is not None:
+            scanned = ScannedColours.pack(grid_nm).by_channel(channel_fractions(weights))
+        spectra = device_array(np.concatenate(colours))
+        return replace(self, spectra=spectra, channels=weights.shape[1], scanned=scanned)
 
     def point(
-        self, si: Any, organ: Any, state: Any, active: Any, footprint: Any | None = 0.0
+        self,
+        si: Any,
+        organ: Any,
+        state: Any,
+        active: Any,
+        footprint: Any | None = 0.0,
+        colour: Any | None = None,
     ) -> SurfacePoint:
         """Look up the optical state at surface interactions.
 
@@ -153,6 +172,8 @@ class Optics:
             active: mask.
             footprint: area that a pixel covers there, squared local units; None for hits that no camera ray
                 found. See `TextureTables.look_up`.
+            colour: linear sRGB of the body, negative where pigments give the colour; None for pigments
+                everywhere.
         """
         mi, dr = mitsuba_modules()
         values = dr.gather(mi.Vector4f, self.organs, organ, active)
@@ -196,6 +217,11 @@ class Optics:
         front, back, through, variance = self._body(
             si.wavelengths, body, healthy - dr.minimum(aged, 1.0) * (1.0 + healthy), active
         )
+        if colour is not None and self.scanned is not None:
+            is_scanned = colour.x > 0.5 * PIGMENTS  # rounding may take black below 0
+            seen, spread = self.scanned.body(self._columns(si.wavelengths), colour, active)
+            front, back = dr.select(is_scanned, seen, front), dr.select(is_scanned, seen, back)
+            through, variance = dr.select(is_scanned, 0.0, through), dr.select(is_scanned, spread, variance)
         squared, least = through * through * body.w, 1e-6
         front_backed = front + cover_behind * squared / dr.maximum(1.0 - body.w * back, least)
         back_backed = back + cover * squared / dr.maximum(1.0 - body.w * front, least)
@@ -227,6 +253,14 @@ class Optics:
             far=far,
         )
 
+    def _columns(self, wavelengths: Any) -> Any:
+        """Columns of `spectra`: one for each channel, or those nearest to wavelengths."""
+        mi, dr = mitsuba_modules()
+        if self.channels is not None:
+            return range(self.channels)
+        last = mi.Float(self.columns) - 1.0
+        return [mi.UInt32(dr.clip((nm - self.first_nm) / STEP_NM + 0.5, 0.0, last)) for nm in wavelengths]
+
     def _blurred_table(self, surface: Any, blur: Any, active: Any) -> tuple[Any, Any]:
         """First entry of the tables around a slope variance in those of one side, and its weight there."""
         mi, dr = mitsuba_modules()
@@ -248,14 +282,10 @@ class Optics:
         low = dr.floor(position)
         row = mi.UInt32(body.x) + mi.UInt32(low)
         next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low)
-        columns: Any = range(self.channels or 0)
+        columns = self._columns(wavelengths)
         spectrum, row_length = (mi.Color3f if self.channels == 3 else mi.Color1f), self.channels
         if self.channels is None:
             spectrum, row_length = mi.Spectrum, self.columns
-            last = mi.Float(self.columns) - 1.0
-            columns = [
-                mi.UInt32(dr.clip((nm - self.first_nm) / STEP_NM + 0.5, 0.0, last)) for nm in wavelengths
-            ]
         front, back, through = (spectrum(0.0) for _ in range(3))
         variance = spectrum(0.0)
         for k, column in enumerate(columns):
@@ -293,6 +323,12 @@ def _relief(si: Any, texel: TextureSample) -> tuple[Any, Any]:
     return frame, dr.clip(blur, 0.0, LARGEST_BLUR)
 
 
+def channel_fractions(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n, c)` share of each wavelength in what a channel detects, from response times light."""
+    total = weights.sum(axis=0)
+    return np.asarray(weights / np.where(total > 0.0, total, 1.0))
+
+
 def channel_colours(spectra: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Integrate spectra to colours; see `Optics.by_channel`.
 
@@ -303,8 +339,7 @@ def channel_colours(spectra: NDArray[Any], weights: NDArray[np.float64]) -> NDAr
     Returns:
         `(r, c, 4)`; the last entry is the variance over wavelength of what a side scatters.
     """
-    total = weights.sum(axis=0)
-    fractions = weights / np.where(total > 0.0, total, 1.0)
+    fractions = channel_fractions(weights)
     colours = np.einsum("rls,lc->rcs", spectra.astype(np.float64), fractions)
     # The variance hardly differs between front and back.
     for side in (0, 1):
