@@ -20,7 +20,7 @@ class Figures:
     depths: int = 0
     largest_mm: float = 0.0
     masks: int = 0  # equal to the last pixel, except those of `ious`
-    ious: list[float] = field(default_factory=list)  # of masks that a format can only approximate
+    ious: list[tuple[int, float]] = field(default_factory=list)  # with pixels, of approximate masks
 
     def add_points(self, found, expected, place):
         """Pixels `(n, 2)` of the same points."""
@@ -56,5 +56,8 @@ class Figures:
         if self.masks > len(self.ious):
             parts.append(f"{self.masks - len(self.ious)} masks, IoU 1")
         if self.ious:
-            parts.append(f"{len(self.ious)} polygons, IoU {np.median(self.ious):.4f}, {min(self.ious):.4f}")
+            pixels, ious = np.array(self.ious).T
+            large = ious[pixels > 200].min(initial=1.0)
+            median, lowest = np.median(ious), ious.min()
+            parts.append(f"{len(ious)} polygons, IoU {median:.4f}, {lowest:.4f}; above 200 px {large:.4f}")
         return "; ".join(parts)

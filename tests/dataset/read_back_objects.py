@@ -132,7 +132,7 @@ def _compare_filled(figures, mask, expected, place):
     differs = (covered & ~mask).sum() > 0.01 * pixels or (mask & ~expected).sum() > bridges
     assert not differs, f"{place}: a mask differs"
     figures.masks += 1
-    figures.ious.append((mask & expected).sum() / (mask | expected).sum())
+    figures.ious.append((int(pixels), (mask & expected).sum() / (mask | expected).sum()))
 
 
 def verify_yolo_detect(dataset, folder):
