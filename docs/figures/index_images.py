@@ -288,6 +288,11 @@ def quickstart() -> Image.Image:
     return image
 
 
+def robot_data_set() -> Image.Image:
+    """Fruit with bounding boxes, out of a picture of the page."""
+    return fill(np.asarray(Image.open(IMAGES / "robot" / "yolo.jpg").convert("RGB")))
+
+
 def gallery() -> Image.Image:
     """A photograph of each of four recipes."""
     image = white()
@@ -1088,8 +1093,8 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, gallery, fruit_segmenter, first_frame, dataset, build, camera, vary, motion, read, learn,
-    export, cultivar, outputs, harvest, check, plants, rendering, realism,
+    quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, build, camera, vary, motion,
+    read, learn, export, cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

@@ -16,6 +16,7 @@ from data_sets import make_small_set, remove_plants
 from disc_set import make_disc_set
 from label_set import make_label_set
 from painted_set import make_painted_set
+from rendered_set import make_rendered_set
 from stand_in import StandIn
 from traced_set import make_traced_set
 
@@ -153,6 +154,22 @@ def traced(tmp_path_factory):
         return made[lens]
 
     return make
+
+
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory):
+    """Three rendered frames of grown plants; to be read, not changed."""
+    return make_rendered_set(tmp_path_factory.mktemp("rendered") / "set")
+
+
+@pytest.fixture(scope="session")
+def hub(tmp_path_factory):
+    """Hugging Face's library `datasets`, without network and without the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("HF_HUB_OFFLINE", "HF_DATASETS_OFFLINE", "HF_HUB_DISABLE_TELEMETRY"):
+            patch.setenv(name, "1")
+        patch.setenv("HF_HOME", str(tmp_path_factory.mktemp("hub")))
+        yield pytest.importorskip("datasets", reason="the extra `test` installs datasets")
 
 
 @pytest.fixture(scope="module")

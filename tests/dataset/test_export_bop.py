@@ -1,7 +1,4 @@
-"""BOP, read as its documentation describes it, of a small row of plants that is grown for this test.
-
-https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
-"""
+"""BOP: poses, models and masks of fruit against the harvest truth, of a row of plants that is grown."""
 
 from __future__ import annotations
 
@@ -13,10 +10,12 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from bop_folder import annotations, corner_error, has_corners, load, project, scene_folder
 from data_sets import contents
+from rendered_set import FRAMES, STEPS
 from scipy.spatial.distance import pdist
 
-from pepperscene.dataset import BuildOptions, build, load_recipe, open_dataset
+from pepperscene.dataset import open_dataset
 from pepperscene.dataset.export import export_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.errors import InputError
@@ -24,56 +23,18 @@ from pepperscene.truth.encodings import decode_rle
 
 pytestmark = pytest.mark.slow
 
-STEPS = 12
-FRAMES = (5, 6, 17)  # two of the first rotation, one of the second
-RECIPE = {
-    "plan.sets": 1, "plan.rotations": 2, "plan.frames": STEPS, "row.plants_front": 2, "row.plants_back": 0,
-    "cultivar": "kaite", "camera.lens": "none", "camera.width": 320, "camera.height": 240,
-    "camera.fx": 210.0, "camera.fy": 212.0, "camera.cx": 158.3, "camera.cy": 121.2,
-}  # fmt: skip
-OUTPUTS = ("colour", "instance", "distance", "depth_z", "harvest")
 LARGEST_PX, FAULT_PX = 0.05, 0.3
 LARGEST_MM = 0.05
-CORNERS = [[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
-"""Of the harvest truth's boxes, in the order of `corners_px`: in fruit axes, where z is down."""
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bop") / "set"
-    options = BuildOptions(quality="draft")
-    return build(load_recipe("barth2018", RECIPE), folder, list(FRAMES), OUTPUTS, options).dataset
+def dataset(rendered):
+    return rendered
 
 
 @pytest.fixture(scope="module")
 def out(dataset, tmp_path_factory):
     return export_dataset(dataset.folder, "bop", tmp_path_factory.mktemp("bop") / "out").folder
-
-
-def load(path):
-    return json.loads(path.read_text())
-
-
-def scene_of(index):
-    return f"train/{index // STEPS:06d}"
-
-
-def annotations(dataset, out):
-    """Frame, entry of the harvest truth, K, R, t of each fruit in each frame, in order."""
-    for index in FRAMES:
-        matrix = np.reshape(load(out / scene_of(index) / "scene_camera.json")[str(index)]["cam_K"], (3, 3))
-        poses = load(out / scene_of(index) / "scene_gt.json")[str(index)]
-        fruit = dataset.image(index, "harvest")["fruit"]
-        for entry, pose in zip(fruit, poses, strict=True):
-            rotation, translation = np.reshape(pose["cam_R_m2c"], (3, 3)), np.array(pose["cam_t_m2c"])
-            yield index, entry, pose["obj_id"], matrix, rotation, translation
-
-
-def project(points_mm, matrix, rotation, translation):
-    """Pixels of points of a model; the centre of the upper left pixel is at (0, 0)."""
-    in_camera = points_mm @ rotation.T + translation
-    assert (in_camera[:, 2] > 0).all()
-    return (in_camera @ matrix.T)[:, :2] / in_camera[:, 2:]
 
 
 def silhouette(model, matrix, rotation, translation, shape):
@@ -92,18 +53,11 @@ def silhouette(model, matrix, rotation, translation, shape):
     return mask
 
 
-def corner_error(entry, size_mm, matrix, rotation, translation):
-    """Largest distance of the projected corners of a model's box from those of the harvest truth."""
-    corners = np.array(CORNERS) * [1, -1, -1] * size_mm
-    expected = np.array(entry["box_3d"]["corners_px"], float) - 0.5
-    return np.linalg.norm(project(corners, matrix, rotation, translation) - expected, axis=1).max()
-
-
 def test_corners_of_models_project_to_those_of_the_fruit(dataset, out):
     info, count = load(out / "models" / "models_info.json"), 0
     for _, entry, number, *camera in annotations(dataset, out):
         size = np.array([info[str(number)][f"size_{axis}"] for axis in "xyz"])
-        if entry["box_3d"]["corners_px"] is not None and None not in entry["box_3d"]["corners_px"]:
+        if has_corners(entry):
             assert corner_error(entry, size, *camera) < LARGEST_PX
             matrix, rotation, translation = camera
             for fault in (
@@ -156,7 +110,7 @@ def test_visible_surfaces_are_those_of_the_models(dataset, out):
 
 def test_images_masks_and_counts_are_those_of_the_data_set(dataset, out):
     for index in FRAMES:
-        place = out / scene_of(index)
+        place = scene_folder(dataset, out, index)
         assert (place / "rgb" / f"{index:06d}.png").read_bytes() == dataset.path(index, "colour").read_bytes()
         depth = cv2.imread(str(place / "depth" / f"{index:06d}.png"), cv2.IMREAD_UNCHANGED)
         scale = load(place / "scene_camera.json")[str(index)]["depth_scale"]
@@ -209,7 +163,7 @@ def test_the_world_of_all_cameras_is_one(dataset, out):
     """The same fruit in two frames of a scene is at the same place in the world."""
     places = {}
     for index, _, number, _, _, translation in annotations(dataset, out):
-        record = load(out / scene_of(index) / "scene_camera.json")[str(index)]
+        record = load(scene_folder(dataset, out, index) / "scene_camera.json")[str(index)]
         rotation = np.reshape(record["cam_R_w2c"], (3, 3))
         places.setdefault(number, []).append(rotation.T @ (translation - record["cam_t_w2c"]))
     several = [np.ptp(found, axis=0).max() for found in places.values() if len(found) > 1]

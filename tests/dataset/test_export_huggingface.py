@@ -15,16 +15,6 @@ MODULE = "pepperscene.dataset.export.huggingface"
 SPLITS = "train=0:5,test=6:8"
 
 
-@pytest.fixture(scope="session")
-def hub(tmp_path_factory):
-    """The library, without network and without the user's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("HF_HUB_OFFLINE", "HF_DATASETS_OFFLINE", "HF_HUB_DISABLE_TELEMETRY"):
-            patch.setenv(name, "1")
-        patch.setenv("HF_HOME", str(tmp_path_factory.mktemp("hub")))
-        yield pytest.importorskip("datasets", reason="the extra `test` installs datasets")
-
-
 @pytest.fixture(scope="module")
 def out(small, tmp_path_factory):
     return export_dataset(small.folder, "huggingface", tmp_path_factory.mktemp("hf") / "out", SPLITS).folder

@@ -1,13 +1,11 @@
-"""RGB-D sequences, read as TUM and ROS describe their files."""
+"""RGB-D sequences: images, depths, poses and cameras against closed forms."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
-import yaml
-from scipy.spatial.transform import Rotation
 from traced_set import HEIGHT, INTRINSICS, LENSES, WIDTH, image_points, make_traced_set, visible_pixels
+from tum_sequence import Sequence, table
 from varied_set import make_varied_set
 
 from pepperscene.camera.calibration import read_calibration
@@ -18,34 +16,6 @@ LARGEST_PX = 0.001
 FAULT_PX = 0.1
 LARGEST_MM = 0.55  # rounding, and single precision
 MODELS = {"rational": "rational_polynomial", "fisheye": "equidistant"}
-
-
-def table(path):
-    lines = path.read_text().splitlines()
-    return [line.split() for line in lines if not line.startswith("#")]
-
-
-class Sequence:
-    """A folder: `info`, `times`, `colour`, `depth` in metres, and `poses` `(n, 4, 4)` camera to world."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        self.info = yaml.safe_load((folder / "camera_info.yaml").read_text())
-        pairs = table(folder / "associations.txt")
-        self.times = [float(pair[0]) for pair in pairs]
-        self.files = [(folder / pair[1], folder / pair[3]) for pair in pairs]
-        self.depths = [
-            cv2.imread(str(file), cv2.IMREAD_UNCHANGED).astype(float) / 1000 for _, file in self.files
-        ]
-        rows = np.array(table(folder / "groundtruth.txt"), float)
-        assert rows[:, 0].tolist() == self.times
-        self.poses = np.tile(np.eye(4), (len(rows), 1, 1))
-        self.poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
-        self.poses[:, :3, 3] = rows[:, 1:4]
-
-    def matrix(self, key="camera_matrix"):
-        block = self.info[key]
-        return np.array(block["data"], float).reshape(block["rows"], block["cols"])
 
 
 def reprojection_error(sequence, pose, pixels, points):
