@@ -8,10 +8,12 @@ from pepperscene.truth.encodings import (
     distance_from_code,
 )
 from pepperscene.truth.statistics import (
+    CENTRE_AREA,
     HUE_BINS,
     ImageStatistics,
     centre_crop,
     centre_falloff,
+    centre_side,
     grey_values,
     hue_spectrum_correlation,
     mean_hue,
@@ -19,10 +21,12 @@ from pepperscene.truth.statistics import (
 )
 
 __all__ = [
+    "CENTRE_AREA",
     "HUE_BINS",
     "ImageStatistics",
     "centre_crop",
     "centre_falloff",
+    "centre_side",
     "class_colour",
     "class_from_colour",
     "class_pixel_counts",
