@@ -20,7 +20,7 @@ from pepperscene.colour import (
 from pepperscene.colour.comparison.missing import missing_parts
 from pepperscene.errors import ArgumentError
 
-LABELLED = noisy_set(1, 3, size=(60, 80), name="labelled")
+LABELLED = noisy_set(1, 2, size=(60, 80), name="labelled")
 
 
 def scene(height, width, middle=0.5):
@@ -44,9 +44,9 @@ def titles(comparison):
     return [table.title.split(" ")[0].rstrip(":") for table in comparison_tables(comparison)]
 
 
-@pytest.mark.parametrize("size", [(600, 800), (346, 613), (720, 1280), (800, 600)])
+@pytest.mark.parametrize("size", [(346, 613), (180, 320), (200, 150)])
 def test_images_of_all_sizes_are_compared_in_the_same_fraction(size):
-    first, second = (image_set(scene(*shape), name=name) for name, shape in (("a", (300, 400)), ("b", size)))
+    first, second = (image_set(scene(*shape), name=name) for name, shape in (("a", (150, 200)), ("b", size)))
     comparison = compare(first, second)
     whole = comparison.kinds["image"]
     # The square of half of the root area is 0.25 of the image; all of the central 3/16 is red.
@@ -57,7 +57,7 @@ def test_images_of_all_sizes_are_compared_in_the_same_fraction(size):
         assert centre**2 / (shape[0] * shape[1]) == pytest.approx(3 / 16, rel=0.005)
     # A smaller square: red has the same fraction of both centres, to a row of pixels.
     first, second = (
-        image_set(scene(*shape, 0.3), name=name) for name, shape in (("a", (300, 400)), ("b", size))
+        image_set(scene(*shape, 0.3), name=name) for name, shape in (("a", (150, 200)), ("b", size))
     )
     red = [
         side.pixels / whole.pixels
