@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from pepperscene.colour import (
     format_tables,
     open_patches,
 )
+from pepperscene.colour.comparison.measure import measure_set
 from pepperscene.colour.comparison.missing import missing_parts
+from pepperscene.colour.comparison.scale import Scale
 from pepperscene.errors import ArgumentError
 
 LABELLED = noisy_set(1, 2, size=(60, 80), name="labelled")
@@ -106,8 +109,14 @@ def test_sizes_and_scale_are_stated():
     ]
 
 
-def test_images_without_masks_are_compared_as_a_whole():
-    comparison = compare(unlabelled(LABELLED), LABELLED, width_px=80)
+@pytest.fixture(scope="module")
+def without_masks():
+    """Comparison of images with the same ones without masks."""
+    return compare(unlabelled(LABELLED), LABELLED, width_px=80)
+
+
+def test_images_without_masks_are_compared_as_a_whole(without_masks):
+    comparison = without_masks
     assert titles(comparison) == ["Sets", "Hues", "CIELAB", "Light", "Saturation", "Texture"]
     for table in comparison_tables(comparison)[1:]:
         for row in table.rows:
@@ -132,16 +141,20 @@ def test_each_missing_part_is_one_sentence():
         unlabelled(LABELLED),
         image_set(*((None, one.classes) for one in LABELLED.items), name="masks"),
     )
-    assert missing_parts(compare(LABELLED, LABELLED, width_px=80)) == []
-    (texture,) = missing_parts(compare(LABELLED, LABELLED))
-    assert "no image of labelled (A) and labelled (B) is 580 pixels wide" in texture
+
+    def measured(images, width_px=80):
+        return measure_set(images, None, scale=Scale(width_px))
+
+    labelled = measured(LABELLED)
+    assert missing_parts(labelled, labelled) == []
+    (texture,) = missing_parts(labelled, measured(LABELLED, 580))
+    assert "no image of labelled is 580 pixels wide" in texture
     assert "Choose a width of at most 80" in texture
-    both = missing_parts(compare(bare, bare, width_px=80))
-    assert "photographs (A) and photographs (B) have no masks" in both[0]
-    (dark,) = missing_parts(compare(LABELLED, masks))
+    both = missing_parts(measured(bare), measured(replace(bare, name="others")))
+    assert "photographs and others have no masks" in both[0]
+    (dark,) = missing_parts(labelled, measured(masks))
     assert "masks has no photographs" in dark
-    assert titles(compare(LABELLED, masks)) == ["Sets", "Class"]
-    (patches,) = missing_parts(compare(LABELLED, open_patches(LABELLED)))
+    (patches,) = missing_parts(labelled, measured(open_patches(LABELLED)))
     assert "patches instead of images" in patches
 
 
@@ -158,8 +171,8 @@ def test_classes_of_one_set_only_are_named_once():
     assert hues.notes[-1] == fractions.notes[-1] == f"not measured: {missing}"
 
 
-def test_figure_of_images_without_masks_has_no_empty_charts():
-    svg = comparison_figure(compare(unlabelled(LABELLED), LABELLED, width_px=80)).decode()
+def test_figure_of_images_without_masks_has_no_empty_charts(without_masks):
+    svg = comparison_figure(without_masks).decode()
     assert re.findall(r"Fig\. \d+", svg) == ["Fig. 12", "Fig. 13"]
     assert "because photographs has no masks." in svg
     assert "80 x 60 pixels; hues and CIELAB: centre, 30 x 30 (19 % of the image)" in svg

@@ -94,7 +94,7 @@ def _heading_notes(comparison: Comparison) -> list[str]:
             size, centre, texture = describe_scale(side)
             name = shorten_name(side.name, 45)
             notes.append(f"{name}: {size} pixels; hues and CIELAB: {centre}; saturation, texture: {texture}")
-    for sentence in missing_parts(comparison):
+    for sentence in missing_parts(comparison.first, comparison.second):
         notes += textwrap.wrap(f"{sentence}.", _NOTE_LETTERS)
     return notes
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 from pepperscene.colour.comparison.measure import SetMeasures
-from pepperscene.colour.comparison.result import Comparison
 
 _MASKS: Final = (
     "To compare them, put a mask beside each image, such as img1.png and mask1.png, and a classes.toml that "
@@ -13,9 +12,9 @@ _MASKS: Final = (
 )
 
 
-def missing_parts(comparison: Comparison) -> list[str]:
-    """Sentences on what is left out of the tables and figures of a comparison; empty if nothing is."""
-    sides = (comparison.first, comparison.second)
+def missing_parts(first: SetMeasures, second: SetMeasures) -> list[str]:
+    """Sentences on what is left out of the tables and figures of two sets; empty if nothing is."""
+    sides = (first, second)
     if patches := [side.name for side in sides if not side.has_images]:
         return [f"Only colours are compared, because {_holds(patches)} patches instead of images"]
     sentences = []

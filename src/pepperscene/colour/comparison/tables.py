@@ -76,7 +76,7 @@ def _set_table(comparison: Comparison) -> TextTable:
         for letter, side in zip("AB", sides, strict=True)
     ]
     headers = ("set", "name", "measured", "size, pixels", "hues and CIELAB", "saturation and texture")
-    notes = tuple(f"{sentence}." for sentence in missing_parts(comparison))
+    notes = tuple(f"{sentence}." for sentence in missing_parts(comparison.first, comparison.second))
     return TextTable("Sets", headers, tuple(rows), notes)
 
 
