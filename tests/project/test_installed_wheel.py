@@ -1,4 +1,4 @@
-"""The wheel in an environment of its own, without the checkout: every step of a first use, in an empty folder."""
+"""The wheel in an environment of its own, without the checkout: a first use, in an empty folder."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         sys.executable, "-m", "pip", "--python", str(scripts / "python"), "--disable-pip-version-check",
         "install", "--quiet", "--no-index", "--no-deps", "--ignore-installed", str(wheel),
     )  # fmt: skip
-    done = subprocess.run(command, env=_clean_environment(scripts), capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        command, env=_clean_environment(scripts), capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     return scripts
 

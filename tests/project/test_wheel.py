@@ -134,7 +134,9 @@ def test_distributions_are_small_and_hold_only_what_runs(wheel: Path, unpacked: 
     for folder in (unpacked, source):
         for name, path in files(folder).items():
             assert path.stat().st_size < 200_000, name
-            assert not {"tests", "docs", "benchmarks", "notebooks", "__pycache__"} & set(Path(name).parts), name
+            assert not {"tests", "docs", "benchmarks", "notebooks", "__pycache__"} & set(Path(name).parts), (
+                name
+            )
 
 
 def test_every_table_of_numbers_has_its_licence_beside_it(unpacked: Path) -> None:
