@@ -124,7 +124,8 @@ def test_a_data_set_is_exported(run: Run, data_set: str, empty: Path) -> None:
     assert len(list((empty / "masks").rglob("*.png"))) == 2
     pytest.importorskip("pycocotools")
     run("pepperscene", "export", data_set, "--format", "coco", "--out", "coco")
-    annotations = json.loads((empty / "coco" / "annotations.json").read_text(encoding="utf-8"))
+    file = empty / "coco" / "annotations" / "instances_train.json"
+    annotations = json.loads(file.read_text(encoding="utf-8"))
     assert len(annotations["images"]) == 1
     assert annotations["annotations"]
 
