@@ -1,3 +1,3 @@
 """The package version; every frame records it, because a frame depends on recipe, version and index only."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -82,7 +82,7 @@ def write_photographs(folder, value, green):
         colour = np.full((24, 32, 3), (90, green, 20 * number), np.uint8)
         Image.fromarray(colour).save(folder / f"img{number}.png")
         mask = np.zeros((24, 32), np.uint8)
-        mask[: 6 * number] = value
+        mask[12 - 3 * number : 12 + 3 * number] = value
         Image.fromarray(mask).save(folder / f"mask{number}.png")
     return folder
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -49,7 +50,8 @@ def test_json_option_prints_json_only_and_reproducibly(command, without_table, w
     assert result.exit_code == 0, result.stderr
     content = json.loads(result.stdout)
     assert content["format"] == "pepperscene compare 1"
-    assert content["one"] == {"name": "plain", "measured": 2, "of": 2}
+    sizes = [{"width": 32, "height": 24, "centre": 12, "texture_width": None}]
+    assert content["one"] == {"name": "plain", "measured": 2, "of": 2, "sizes": sizes}
     pepper = content["kinds"]["pepper"]
     assert pepper["delta_e_2000"]["value"] > 5
     assert pepper["hue_emd_deg"]["low"] <= pepper["hue_emd_deg"]["value"] <= pepper["hue_emd_deg"]["high"]
@@ -89,7 +91,8 @@ def test_limit_is_passed_on(command, without_table):
         "compare", without_table, without_table, "--labels", "montoya2021", "--limit", 1, "--json"
     )
     content = json.loads(result.stdout)
-    assert content["other"] == {"name": "plain (B)", "measured": 1, "of": 2}
+    assert content["other"]["name"] == "plain (B)"
+    assert (content["other"]["measured"], content["other"]["of"]) == (1, 2)
     assert content["kinds"]["pepper"]["delta_e_2000"] == {"value": 0.0, "low": None, "high": None}
 
 
@@ -103,6 +106,18 @@ def test_textures_are_measured_at_the_scale_of_the_options(command, without_tabl
     assert pixels == narrow["pixels"]
     halved = json.loads(command(*base, "--pixel-mm", "1,2").stdout)["appearance"]["image"]
     assert 4 * halved["one"]["pixels"] == halved["other"]["pixels"] == pixels
+
+
+def test_photographs_without_masks_give_a_short_output(command, tmp_path):
+    for number in range(3):
+        image = np.random.default_rng(number).integers(0, 255, (45, 60, 3), np.uint8)
+        Image.fromarray(image).save(tmp_path / f"img{number}.png")
+    result = command("compare", tmp_path, tmp_path)
+    assert result.exit_code == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert sum("no masks" in line for line in lines) == 1
+    assert len(lines) < 30
+    assert not any(re.search(r" -( |$)", line) for line in lines)
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ from pepperscene.colour import (
 from pepperscene.colour.comparison.measure import measure_set
 from pepperscene.dataset import VOID, open_images
 from pepperscene.spectra import Spectrum
+from pepperscene.truth import centre_side
 
 A, B = noisy_set(1, 5, name="ours"), noisy_set(2, 7, name="theirs")
 
@@ -52,9 +53,12 @@ def numbers():
 
 def test_set_is_identical_to_itself():
     comparison = compare(A, A)
-    assert list(comparison.kinds) == [organ_class.name.lower() for organ_class in OrganClass]
+    classes = [organ_class.name.lower() for organ_class in OrganClass]
+    assert list(comparison.kinds) == ["image", *classes]
+    assert [kind.kind for kind in comparison.classes] == classes
     for kind in comparison.kinds.values():
-        for measure in (kind.hue_correlation, kind.place_correlation, kind.place_ssim):
+        places = () if kind.kind == "image" else (kind.place_correlation, kind.place_ssim)
+        for measure in (kind.hue_correlation, *places):
             assert (measure.value, measure.low, measure.high) == pytest.approx((1.0, 1.0, 1.0), abs=1e-12)
         for measure in (kind.hue_emd_deg, kind.delta_e_2000):
             assert (measure.value, measure.low, measure.high) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
@@ -133,7 +137,7 @@ def test_hue_spectra_equal_those_of_the_report():
 def test_mean_colours_are_averaged_in_linear_light():
     dark, bright, other = (40, 90, 30), (120, 200, 90), (200, 60, 30)
     # Three pixels in four are dark.
-    mixed = uniform(dark)
+    mixed = uniform(dark, size=(48, 64))
     mixed[0][:, ::4] = bright
     leaf = compare(image_set(mixed), image_set(uniform(other))).kinds["leaf"]
     dark_linear, bright_linear, other_linear = (decode_tone(np.uint8(c)) for c in (dark, bright, other))
@@ -228,7 +232,7 @@ def test_limit_samples_pictures_evenly():
 
 
 def test_patches_of_a_set_have_its_colours():
-    comparison = compare(A, open_patches(A))
+    comparison = compare(A, open_patches(A, centre_px=centre_side(48, 64)))
     assert comparison.first.name != comparison.second.name
     for name, kind in comparison.kinds.items():
         if name != "background":
@@ -262,19 +266,20 @@ def test_stages_are_compared_if_both_sets_have_them(tmp_path):
     for folder in ("one", "other"):
         (tmp_path / folder).mkdir()
         for number in (1, 2):
-            mask = np.zeros((30, 40), np.uint8)
-            mask[:10], mask[10:20] = 1, 2
-            colour = np.zeros((30, 40, 3), np.uint8)
-            colour[:10], colour[10:20] = saturated(110), saturated(4 if folder == "one" else 34)
+            mask = np.zeros((48, 64), np.uint8)
+            mask[14:24], mask[24:34] = 1, 2
+            colour = np.zeros((48, 64, 3), np.uint8)
+            colour[14:24], colour[24:34] = saturated(110), saturated(4 if folder == "one" else 34)
             Image.fromarray(colour).save(tmp_path / folder / f"img{number}.png")
             Image.fromarray(mask).save(tmp_path / folder / f"mask{number}.png")
     first, second = (open_images(tmp_path / name, labels="montoya2021") for name in ("one", "other"))
     kinds = compare(first, second).kinds
-    assert list(kinds) == ["pepper", "pepper.ripe", "pepper.unripe"]
-    distances = {name: kind.hue_emd_deg.value for name, kind in kinds.items()}
+    assert list(kinds) == ["image", "pepper", "pepper.ripe", "pepper.unripe"]
+    distances = {name: kind.hue_emd_deg.value for name, kind in kinds.items() if name != "image"}
     assert distances == pytest.approx({"pepper": 15.0, "pepper.ripe": 30.0, "pepper.unripe": 0.0})
     # Otherwise fruit of any ripeness are compared.
-    assert list(compare(first, image_set(uniform(saturated(4), OrganClass.PEPPER))).kinds) == ["pepper"]
+    unstaged = image_set(uniform(saturated(4), OrganClass.PEPPER))
+    assert list(compare(first, unstaged).kinds) == ["image", "pepper"]
 
 
 def test_bootstrap_weights_of_staged_patches_do_not_depend_on_the_hash_seed():

@@ -100,7 +100,7 @@ def test_hue_spectra_equal_image_statistics(folder: Path, centre_px: int | None)
         size = centre_px or 100
         top, left = max(0, (height - size) // 2), max(0, (width - size) // 2)
         part = (slice(top, top + size), slice(left, left + size))
-        sums.add(picture.colour[part], picture.classes[part])
+        sums.add(picture.colour[part], picture.classes[part], size)
     patch_set = open_patches(folder, centre_px=centre_px)
     for organ in (OrganClass.LEAF, OrganClass.PEPPER):
         statistics = patch_set.statistics(organ.name.lower())

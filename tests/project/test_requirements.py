@@ -1,7 +1,8 @@
-"""The locked versions are those that the package allows, and complete."""
+"""The locked versions are those that the package allows, and complete; the README names all extras."""
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -37,3 +38,12 @@ def test_every_direct_dependency_of_the_renderer_has_an_upper_bound() -> None:
         if not any(part.operator in ("<", "==") for part in requirement.specifier)
     }
     assert unbounded == {"pyarrow", "drjit"}
+
+
+def test_readme_lists_every_extra() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `([a-z-]+)` \| .+ \| .+ \|$", text.split("## Requirements")[1], re.MULTILINE)
+    assert [name for name in listed if listed.count(name) > 1] == []
+    (line,) = re.findall(r"^The extras (.+) are for development", text, re.MULTILINE)
+    assert set(project["optional-dependencies"]) == set(listed) | set(re.findall(r"`([a-z-]+)`", line))

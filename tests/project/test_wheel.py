@@ -31,19 +31,12 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with the unpacked wheel."""
-    folder = tmp_path_factory.mktemp("wheel")
-    command = (
-        sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check",
-        "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT),
-    )  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    (wheel,) = folder.glob("pepperscene-*.whl")
+    folder = tmp_path_factory.mktemp("unpacked")
     with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(folder / "content")
-    return folder / "content"
+        archive.extractall(folder)
+    return folder
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
@@ -133,6 +126,26 @@ def test_no_photograph_is_distributed(unpacked: Path, source: Path) -> None:
         }
         texts = b"".join(path.read_bytes() for path in files(folder).values() if path.suffix != ".md")
         assert b"CC BY-SA" not in texts
+
+
+def test_distributions_are_small_and_hold_only_what_runs(wheel: Path, unpacked: Path, source: Path) -> None:
+    assert wheel.stat().st_size < 2_000_000
+    assert {path.name for path in unpacked.iterdir()} == {"pepperscene", f"{source.name}.dist-info"}
+    for folder in (unpacked, source):
+        for name, path in files(folder).items():
+            assert path.stat().st_size < 200_000, name
+            assert not {"tests", "docs", "benchmarks", "notebooks", "__pycache__"} & set(Path(name).parts), (
+                name
+            )
+
+
+def test_every_table_of_numbers_has_its_licence_beside_it(unpacked: Path) -> None:
+    tables = sorted((unpacked / "pepperscene" / "shipped").rglob("*.csv"))
+    assert len(tables) > 30
+    for table in tables:
+        description = tomllib.loads(table.with_suffix(".toml").read_text(encoding="utf-8"))
+        assert description["licence"], table
+        assert description["source"], table
 
 
 def test_source_distribution_builds_the_same_wheel(unpacked: Path, source: Path, tmp_path: Path) -> None:

@@ -103,6 +103,15 @@ def test_another_seed_changes_noise_but_no_labels(used, frame):
     assert np.abs(other["colour"].astype(int) - frame["colour"]).mean() < 8
 
 
+def test_another_version_is_recorded_and_changes_no_pixel(scene, used, monkeypatch):
+    before = used.render(camera(), DEFAULT_OUTPUTS, "draft", 5)
+    monkeypatch.setattr(renderer, "__version__", "9.9.9")
+    monkeypatch.setattr(renderer, "_library_versions", renderer._library_versions.__wrapped__)
+    after = Renderer(scene).render(camera(), DEFAULT_OUTPUTS, "draft", 5)
+    assert after.metadata["versions"]["pepperscene"] == "9.9.9" != before.metadata["versions"]["pepperscene"]
+    assert digests(after) == digests(before)
+
+
 def test_stereo_partner_has_its_own_noise_and_the_same_light(scene, frame):
     # From the camera's own pose it is another photograph of the same view.
     same = Renderer(scene).render(camera(), ["colour_stereo"], "standard", 5, others={"stereo": camera()})

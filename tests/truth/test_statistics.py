@@ -88,10 +88,19 @@ def test_grey_values_and_saturated_fraction():
 
 
 @pytest.mark.parametrize(
-    ("shape", "cropped"), [((600, 800), (300, 300)), ((346, 613), (300, 300)), ((200, 900), (200, 300))]
+    ("shape", "size_px", "cropped"),
+    [
+        ((600, 800), None, (300, 300)),
+        ((346, 613), None, (199, 199)),
+        ((720, 1280), None, (416, 416)),
+        # A long image has fewer rows than the square would need.
+        ((90, 900), None, (90, 90)),
+        ((1, 1), None, (1, 1)),
+        ((200, 900), 300, (200, 300)),
+    ],
 )
-def test_crop_is_central(shape, cropped):
-    centre = centre_crop(np.arange(shape[0] * shape[1]).reshape(shape))
+def test_crop_is_central(shape, size_px, cropped):
+    centre = centre_crop(np.arange(shape[0] * shape[1]).reshape(shape), size_px)
     assert centre.shape == cropped
     for positions, length in zip(np.divmod(centre, shape[1]), shape, strict=True):
         # The same margin on both sides, to a pixel.
@@ -153,8 +162,20 @@ def test_spectra_and_grey_pixels_add_up(stack: Stack):
     np.testing.assert_allclose(
         statistics.hue_spectra().sum(axis=1) + 100 * statistics.grey_fractions(), 100.0
     )
-    by_image = [(bins[ids == 3] == 40).mean() for bins, ids in zip(hue_bins(colour), class_id, strict=True)]
+    by_image = []
+    for bins, ids in zip(hue_bins(colour), class_id, strict=True):
+        central = centre_crop(bins)[centre_crop(ids) == 3]
+        by_image.append((central == 40).mean())
     assert statistics.hue_spectra()[3, 40] == pytest.approx(100 * np.mean(by_image))
+
+
+def test_side_of_the_centre_can_be_given(stack: Stack):
+    _, colour, class_id = stack
+    statistics = ImageStatistics()
+    for image in zip(colour, class_id, strict=True):
+        statistics.add(*image, centre_px=100)
+    by_image = [(bins[ids == 3] == 40).mean() for bins, ids in zip(hue_bins(colour), class_id, strict=True)]
+    assert statistics.hue_spectra()[3, 40] == pytest.approx(100 * np.mean(by_image)) != 0.0
 
 
 def test_each_image_has_the_same_weight_in_a_hue_spectrum():

@@ -10,10 +10,12 @@ from pepperscene.truth.encodings import (
     encode_rle,
 )
 from pepperscene.truth.statistics import (
+    CENTRE_AREA,
     HUE_BINS,
     ImageStatistics,
     centre_crop,
     centre_falloff,
+    centre_side,
     grey_values,
     hue_spectrum_correlation,
     mean_hue,
@@ -21,10 +23,12 @@ from pepperscene.truth.statistics import (
 )
 
 __all__ = [
+    "CENTRE_AREA",
     "HUE_BINS",
     "ImageStatistics",
     "centre_crop",
     "centre_falloff",
+    "centre_side",
     "class_colour",
     "class_from_colour",
     "class_pixel_counts",

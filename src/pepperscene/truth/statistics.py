@@ -7,6 +7,7 @@ and the mean intensity image (Fig. 13). Memory is that of a few images, however 
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,10 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 
 HUE_BINS: Final = 180
-CENTRE_PX: Final = 300
+CENTRE_AREA: Final = 3 / 16
+"""Fraction of an image in the central square whose hues are counted: 300 x 300 of 800 x 600 pixels in Barth
+et al. 2018, section 3.1.1. The same fraction of images of any size is about the same part of what they show.
+"""
 _BINS_PER_SECTOR: Final = HUE_BINS // 6
 _CLASSES: Final = len(OrganClass)
 _FLUSH_INTERVAL: Final = 255
@@ -77,12 +81,22 @@ def hue_counts(colour: NDArray[np.uint8], class_id: NDArray[np.unsignedinteger[A
     return counts.reshape(-1, width)[:_CLASSES]
 
 
-def centre_crop(image: NDArray[Any], size_px: int = CENTRE_PX) -> NDArray[Any]:
-    """The central `size_px` x `size_px` pixels of an image `(h, w, ...)`, fewer if it is smaller; a view.
+def centre_side(height_px: int, width_px: int) -> int:
+    """Side in pixels of the central square of an image: `CENTRE_AREA` of it, if that is no larger than it."""
+    return max(1, min(height_px, width_px, round(math.sqrt(CENTRE_AREA * height_px * width_px))))
 
-    Barth et al. 2018 (section 3.1.1) take hues from the central 300 x 300 pixels, because the dark margins
-    contain more of the last hues than the plants.
+
+def centre_crop(image: NDArray[Any], size_px: int | None = None) -> NDArray[Any]:
+    """The central square of an image `(h, w, ...)`; a view.
+
+    Barth et al. 2018 (section 3.1.1) take hues from there, because the dark margins contain more of the last
+    hues than the plants.
+
+    Args:
+        image: of any size.
+        size_px: side of the square, which is cut to the image; None for `centre_side`.
     """
+    size_px = centre_side(*image.shape[:2]) if size_px is None else size_px
     top, left = (max(0, (length - size_px) // 2) for length in image.shape[:2])
     return image[top : top + size_px, left : left + size_px]
 
@@ -158,19 +172,23 @@ class ImageStatistics:
         self._recent_masks: NDArray[np.uint8] | None = None  # not yet added to `_mask_sums`
 
     def add(
-        self, colour: NDArray[np.uint8] | None, class_id: NDArray[np.unsignedinteger[Any]] | None
+        self,
+        colour: NDArray[np.uint8] | None,
+        class_id: NDArray[np.unsignedinteger[Any]] | None,
+        centre_px: int | None = None,
     ) -> None:
         """Add an image.
 
         Args:
             colour: `(h, w, 3)` uint8 sRGB, or None.
             class_id: `(h, w)` class ids of an unsigned type, or None; values above 7 are unlabelled.
+            centre_px: side of the central square whose hues are counted; None for `centre_side`.
 
         Raises:
             ValueError: a shape or type is wrong, or the two differ in size.
         """
         if colour is not None and class_id is not None:
-            self._add_hues(hue_counts(centre_crop(colour), centre_crop(class_id)))
+            self._add_hues(hue_counts(centre_crop(colour, centre_px), centre_crop(class_id, centre_px)))
         if colour is not None:
             self._add_photograph(colour)
         if class_id is not None:

@@ -38,14 +38,11 @@ from pepperscene.colour.comparison.bootstrap import (
     estimate_values,
     unknown_estimate,
 )
+from pepperscene.colour.comparison.scale import Scale
 from pepperscene.colour.statistics import bin_angles, circular_sd, linear_srgb_to_lab
 
 WHOLE: Final = "image"
 """Name of the kind that contains all pixels."""
-
-WIDTH_PX: Final = 580
-"""Width at which textures are compared by default. Chosen: photographs of public data sets are 590 to 800
-pixels wide, and a pixel of one that shows 70 cm of a row is about as large as a secondary vein."""
 
 PERCENT: Final = (10.0, 50.0, 90.0)
 SATURATION_BINS: Final = 200
@@ -71,25 +68,6 @@ PATCHES, PATCH_SD, TEXTURED, COHERENCE, GREATER, LESSER = range(_AFTER + 7, _AFT
 SPECTRA, SLOPE, SLOPE_SQUARED = range(_AFTER + 13, _AFTER + 16)
 LOG_POWER: Final = slice(_AFTER + 16, _AFTER + 16 + SPECTRUM_BINS)
 _WIDTH: Final = _AFTER + 16 + SPECTRUM_BINS
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Scale at which the images of a set are measured.
-
-    Attributes:
-        width_px: all images are reduced to this width, or
-        factor: all are reduced by this factor, at most 1, if given.
-    """
-
-    width_px: int = WIDTH_PX
-    factor: float | None = None
-
-    def width(self, width_px: int) -> int | None:
-        """Width in pixels at which an image of this width is measured; None if it is too narrow."""
-        if self.factor is not None:
-            return max(1, round(self.factor * width_px))
-        return self.width_px if width_px >= self.width_px else None
 
 
 @dataclass(frozen=True)

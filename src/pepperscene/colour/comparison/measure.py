@@ -7,7 +7,6 @@ give the numbers. Memory is that of a few images, however large the set.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -16,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import decode_tone
 from pepperscene.camera.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
-from pepperscene.colour.comparison.appearance import Scale, add_appearance
+from pepperscene.colour.comparison.appearance import WHOLE, add_appearance
 from pepperscene.colour.comparison.bootstrap import BootstrapSums, Floats, bootstrap_weights
 from pepperscene.colour.comparison.names import printable_name
-from pepperscene.colour.comparison.open_sets import open_set
+from pepperscene.colour.comparison.scale import Scale
 from pepperscene.colour.patches.open import organ_regions
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
 from pepperscene.colour.statistics import hue_histogram, linear_srgb_to_lab, srgb_codes
@@ -58,13 +57,15 @@ class SetMeasures:
         name: of the set, with escape sequences for what is not UTF-8 in the name of a folder.
         available: number of images in the set, `units` of which were measured.
         has_images: whether it has whole images: class fractions, places and light need them.
-        kinds: colour sums of each kind, in the centre of the images; columns `HUES` and so on.
+        kinds: colour sums of each kind in the centre of the images, and of the whole centre as `WHOLE`;
+            columns `HUES` and so on.
         class_pixels: labelled pixels of each class `(8,)` and unlabelled ones, in whole images.
         places: fraction of each class in each cell, `(8 * rows * columns,)`.
         light: mean grey value of each cell, `(rows * columns,)`, of the image, and 1.
         statistics: the measures of the paper.
         appearance: saturation, texture, gloss and clipping of whole images and of each class.
-        scale: at which these are measured.
+        scale: at which these are measured, with the size of the centre.
+        centres: side in pixels of the central square of images of each size (height, width).
         units: images measured, or images and spectra of a patch set.
     """
 
@@ -78,6 +79,7 @@ class SetMeasures:
         self.statistics = ImageStatistics()
         self.appearance: dict[str, BootstrapSums] = {}
         self.scale = scale
+        self.centres: dict[tuple[int, int], int] = {}
 
     def add_picture(
         self,
@@ -94,7 +96,8 @@ class SetMeasures:
             stages: masks `(h, w)` of the kinds with a stage ("pepper.ripe").
             instances: `(h, w)` instances, 0 for none, or None.
         """
-        self.statistics.add(colour, classes)
+        centre_px = self._centre(colour if classes is None else classes)
+        self.statistics.add(colour, classes, centre_px)
         self.units += 1
         content = b"".join(image.tobytes() for image in (colour, classes) if image is not None)
         weights = bootstrap_weights(content)
@@ -104,14 +107,16 @@ class SetMeasures:
             grey = grey_values(colour)
             self.light.add([*_cell_means(grey), grey.mean(dtype=np.float64), 1.0], weights)
             add_appearance(self.appearance, colour, classes, instances, self.scale, weights)
+        if colour is not None:
+            central = centre_crop(colour, centre_px)
+            self._add_pixels(WHOLE, central.reshape(-1, 3), weights)
         if colour is not None and classes is not None:
-            central, ids = centre_crop(colour), centre_crop(classes)
+            ids = centre_crop(classes, centre_px)
             masks = {organ_class.name.lower(): ids == organ_class for organ_class in OrganClass}
-            masks |= {kind: centre_crop(mask) for kind, mask in (stages or {}).items()}
+            masks |= {kind: centre_crop(mask, centre_px) for kind, mask in (stages or {}).items()}
             for kind, mask in masks.items():
                 if mask.any():
-                    codes = central[mask]
-                    self._add_kind(kind, hue_histogram(codes), _colour_sums(decode_tone(codes)), weights)
+                    self._add_pixels(kind, central[mask], weights)
 
     def add_patches(self, patches: Iterable[Patch]) -> None:
         """Add all patches of one image; a patch with a stage counts for its class as well."""
@@ -142,6 +147,17 @@ class SetMeasures:
     def classes_with_stages(self) -> frozenset[str]:
         """Classes that are also measured by stage."""
         return frozenset(_class_of(kind) for kind in self.kinds if "." in kind)
+
+    def _centre(self, image: NDArray[Any] | None) -> int | None:
+        """Side of the central square of an image `(h, w, ...)`, which is recorded."""
+        if image is None:
+            return None
+        size = (image.shape[0], image.shape[1])
+        return self.centres.setdefault(size, self.scale.centre(*size))
+
+    def _add_pixels(self, kind: str, codes: NDArray[np.uint8], weights: Floats) -> None:
+        """Add the pixels `(n, 3)` sRGB of a kind in an image."""
+        self._add_kind(kind, hue_histogram(codes), _colour_sums(decode_tone(codes)), weights)
 
     def _add_kind(self, kind: str, hues: ArrayLike, colour_sums: Floats, weights: Floats) -> None:
         """Hues have the same weight in each image, as in the paper; colours are weighted by pixels."""
@@ -199,28 +215,31 @@ def _assign_cells(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
     return image, indices[0][:, None] * CELLS[1] + indices[1][None, :]
 
 
-# --- opening and measuring ----------------------------------------------------------------------------------
+Sets = tuple[SetMeasures, SetMeasures]
+"""The first and the second set of a comparison."""
+
+
+# --- measuring ----------------------------------------------------------------------------------------------
 
 
 def measure_set(
-    source: str | Path | ImageSet | PatchSet,
+    images: ImageSet | PatchSet,
     limit: int | None,
     on_progress: OnProgress | None = None,
     scale: Scale = DEFAULT_SCALE,
 ) -> SetMeasures:
-    """Measure at most `limit` images of a set or of the set at a path, evenly spaced.
+    """Measure at most `limit` images of a set, evenly spaced.
 
     Textures are measured at a scale, all else in the images as they are.
 
     Raises:
-        InputError: the path is no set, a file is damaged, or there is nothing to measure.
+        InputError: a file is damaged, or there is nothing to measure.
     """
-    image_set = open_set(source) if isinstance(source, str | Path) else source
-    if isinstance(image_set, PatchSet):
-        return _measure_patches(image_set, limit)
-    sums = SetMeasures(image_set.name, len(image_set), has_images=True, scale=scale)
-    indices = evenly_spaced(len(image_set), len(image_set) if limit is None else limit)
-    images = image_set.select("colour", "classes", "instances", "metadata")
+    if isinstance(images, PatchSet):
+        return _measure_patches(images, limit)
+    sums = SetMeasures(images.name, len(images), has_images=True, scale=scale)
+    indices = evenly_spaced(len(images), len(images) if limit is None else limit)
+    images = images.select("colour", "classes", "instances", "metadata")
     for picture in read_ahead(images, indices):
         stages = {}
         if picture.colour is not None:

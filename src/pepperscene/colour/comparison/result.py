@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pepperscene.colour.comparison.appearance import AppearanceMeasures
+from pepperscene.colour.comparison.appearance import WHOLE, AppearanceMeasures
 from pepperscene.colour.comparison.bootstrap import Estimate
 from pepperscene.colour.comparison.measure import SetMeasures
 
@@ -29,7 +29,7 @@ class KindComparison:
     """One kind of organ in both sets.
 
     Attributes:
-        kind: a class in lower case, optionally with a stage after a dot.
+        kind: a class in lower case, optionally with a stage after a dot; or "image".
         hue_correlation: Pearson correlation of the two hue spectra over their 180 bins (Fig. 12).
         hue_emd_deg: circular earth mover's distance of the two hue spectra, degrees.
         delta_e_2000: between the two mean colours.
@@ -77,7 +77,8 @@ class Comparison:
     Attributes:
         first: sums over the first set, as the figure needs them; the names of the two always differ.
         second: over the second set.
-        kinds: by name: classes, and their stages if both sets have them.
+        kinds: by name: the whole centre of the images ("image") if both sets have photographs, classes, and
+            their stages if both sets have them.
         hue_correlation: mean of the classes' hue correlations over the plant parts that both sets show.
         share_correlation: of the class fractions, over the classes that both sets know (Fig. 10).
         light: brightness of the images.
@@ -91,3 +92,22 @@ class Comparison:
     share_correlation: Estimate
     light: LightComparison
     appearance: Mapping[str, AppearanceComparison]
+
+    @property
+    def classes(self) -> list[KindComparison]:
+        """The kinds that are classes: not the whole centre, and no stages."""
+        return [kind for kind in self.kinds.values() if kind.kind != WHOLE and "." not in kind.kind]
+
+    @property
+    def coloured_kinds(self) -> list[KindComparison]:
+        """Kinds whose colours were measured in both sets."""
+        return [kind for kind in self.kinds.values() if kind.first.pixels and kind.second.pixels]
+
+    @property
+    def labelled_classes(self) -> list[KindComparison]:
+        """Classes whose fraction is known in both sets."""
+        return [
+            kind
+            for kind in self.classes
+            if kind.first.share.value is not None and kind.second.share.value is not None
+        ]

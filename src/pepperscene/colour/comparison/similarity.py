@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.colour.comparison.bootstrap import Floats
+from pepperscene.colour.comparison.bootstrap import Estimate, Floats, estimate_values
 from pepperscene.colour.comparison.measure import (
     CELLS,
     CLASSES,
@@ -49,6 +49,16 @@ def pairwise(
             for p, q in zip(first, second, strict=True)
         ]
     )
+
+
+def estimate_pair(
+    measure: Callable[[Floats, Floats], float],
+    rows: list[Floats],
+    resampled: bool,
+    why: str = "it is not defined",
+) -> Estimate:
+    """Estimate a measure of two sets from their rows, the plain ones first; see `estimate_values`."""
+    return estimate_values(pairwise(measure, *rows, resampled=resampled), resampled, why)
 
 
 def hue_spectra(sums: Floats) -> Floats:

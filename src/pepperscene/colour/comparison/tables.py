@@ -1,63 +1,18 @@
-"""A comparison as text tables and as JSON."""
+"""A comparison as text tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Final
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
 
-from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES, Estimate
-from pepperscene.colour.comparison.result import Comparison, KindComparison, KindMeasures
+from pepperscene.colour.comparison.appearance import WHOLE, AppearanceMeasures
+from pepperscene.colour.comparison.bootstrap import Estimate
+from pepperscene.colour.comparison.missing import missing_parts
+from pepperscene.colour.comparison.result import Comparison, KindMeasures
+from pepperscene.colour.comparison.scale_text import describe_scale
 
-FORMAT: Final = "pepperscene compare 1"
 UNKNOWN: Final = "-"
-
-_KEYS: Final = {
-    "first": "one",
-    "second": "other",
-    "first_spread": "one_spread",
-    "second_spread": "other_spread",
-}
-"""Keys of the JSON format that differ from the names of the attributes."""
-
-
-# --- JSON ---------------------------------------------------------------------------------------------------
-
-
-def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """The comparison as JSON data; an unknown number is null, and `why` gives the reason."""
-    first, second = (
-        {"name": side.name, "measured": side.units, "of": side.available}
-        for side in (comparison.first, comparison.second)
-    )
-    return {
-        "format": FORMAT,
-        "one": first,
-        "other": second,
-        "interval": {"level": LEVEL, "replicates": REPLICATES},
-        "hue_correlation": _to_json(comparison.hue_correlation),
-        "share_correlation": _to_json(comparison.share_correlation),
-        "kinds": {
-            name: {key: value for key, value in _to_json(kind).items() if key != "kind"}
-            for name, kind in comparison.kinds.items()
-        },
-        "light": _to_json(comparison.light),
-        "appearance": {kind: _to_json(pair) for kind, pair in comparison.appearance.items()},
-    }
-
-
-def _to_json(value: Any) -> Any:
-    """Estimates and the data classes that hold them as JSON data."""
-    if isinstance(value, Estimate):
-        numbers = {"value": value.value, "low": value.low, "high": value.high}
-        return {**numbers, "why": value.why} if value.value is None else numbers
-    if is_dataclass(value) and not isinstance(value, type):
-        names = [field.name for field in fields(value)]
-        return {_KEYS.get(name, name): _to_json(getattr(value, name)) for name in names}
-    return [_to_json(item) for item in value] if isinstance(value, tuple) else value
-
-
-# --- tables -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -71,14 +26,20 @@ class TextTable:
 
 
 def comparison_tables(comparison: Comparison) -> tuple[TextTable, ...]:
-    """The comparison in tables: hues, CIELAB, class fractions and places, light, saturation and texture.
+    """The comparison in tables, of what was measured in both sets.
 
-    With patches on one side, there are tables of hues and CIELAB only.
+    The first one lists the sets, the central square and the scale at which they are compared, and says what
+    is missing. Hues, CIELAB, class fractions and places, light, saturation and texture follow, as far as both
+    sets have data; with patches on one side, hues and CIELAB only.
     """
-    tables = [_hue_table(comparison), _lab_table(comparison)]
-    if comparison.first.has_images and comparison.second.has_images:
-        tables += [_class_table(comparison), _light_table(comparison)]
-        tables += [_saturation_table(comparison), _texture_table(comparison)]
+    tables = [_set_table(comparison)]
+    if comparison.coloured_kinds:
+        tables += [_hue_table(comparison), _lab_table(comparison)]
+    if comparison.labelled_classes:
+        tables.append(_class_table(comparison))
+    if comparison.light.first.value is not None and comparison.light.second.value is not None:
+        tables += [_light_table(comparison), _saturation_table(comparison)]
+        tables += _texture_tables(comparison)
     return tuple(tables)
 
 
@@ -107,12 +68,19 @@ def format_estimate(estimate: Estimate, digits: int = 2, factor: float = 1.0) ->
     return str(value) if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
+def _set_table(comparison: Comparison) -> TextTable:
+    """What is compared: images, the central square, and the scale of textures."""
+    sides = (comparison.first, comparison.second)
+    rows = [
+        (letter, side.name, f"{side.units:,} of {side.available:,}", *describe_scale(side))
+        for letter, side in zip("AB", sides, strict=True)
+    ]
+    headers = ("set", "name", "measured", "size, pixels", "hues and CIELAB", "saturation and texture")
+    notes = tuple(f"{sentence}." for sentence in missing_parts(comparison.first, comparison.second))
+    return TextTable("Sets", headers, tuple(rows), notes)
+
+
 def _hue_table(comparison: Comparison) -> TextTable:
-    a, b = (
-        f"{side.name}, {side.units:,} of {side.available:,} images measured"
-        for side in (comparison.first, comparison.second)
-    )
-    kinds = comparison.kinds.values()
     rows = [
         (
             kind.kind,
@@ -123,12 +91,20 @@ def _hue_table(comparison: Comparison) -> TextTable:
             f"{kind.first.pictures:,}",
             f"{kind.second.pictures:,}",
         )
-        for kind in kinds
+        for kind in comparison.coloured_kinds
     ]
     headers = ("kind", "correlation", "EMD, deg", "A, mean ± sd", "B, mean ± sd", "images A", "images B")
-    mean = f"mean correlation over plant parts: {format_estimate(comparison.hue_correlation)}"
-    notes = (mean, *_reasons(kinds, "hue_correlation", "hue_emd_deg"))
-    return TextTable(f"Hues (Fig. 12). A: {a}; B: {b}", headers, tuple(rows), notes)
+    mean = comparison.hue_correlation
+    notes = [] if mean.value is None else [f"mean correlation over plant parts: {format_estimate(mean)}"]
+    if _both_labelled(comparison):
+        notes += _reasons((kind.kind, kind.hue_correlation.why) for kind in comparison.kinds.values())
+    return TextTable("Hues (Fig. 12)", headers, tuple(rows), tuple(notes))
+
+
+def _both_labelled(comparison: Comparison) -> bool:
+    """Whether both sets have classes; otherwise the first table says so."""
+    sides = (comparison.first, comparison.second)
+    return all(side.statistics.labelled_count or not side.has_images for side in sides)
 
 
 def _format_hue(side: KindMeasures) -> str:
@@ -139,7 +115,7 @@ def _format_hue(side: KindMeasures) -> str:
 def _lab_table(comparison: Comparison) -> TextTable:
     rows = [
         (kind.kind, format_estimate(kind.delta_e_2000, 1), _format_lab(kind.first), _format_lab(kind.second))
-        for kind in comparison.kinds.values()
+        for kind in comparison.coloured_kinds
     ]
     headers = ("kind", "CIEDE2000", "A, L* a* b*", "B, L* a* b*")
     return TextTable("CIELAB (D65): mean colour ± standard deviation over pixels", headers, tuple(rows))
@@ -155,7 +131,6 @@ def _format_lab(side: KindMeasures) -> str:
 
 
 def _class_table(comparison: Comparison) -> TextTable:
-    kinds = [kind for kind in comparison.kinds.values() if "." not in kind.kind]
     rows = [
         (
             kind.kind,
@@ -163,17 +138,17 @@ def _class_table(comparison: Comparison) -> TextTable:
             format_estimate(kind.place_correlation),
             format_estimate(kind.place_ssim),
         )
-        for kind in kinds
+        for kind in comparison.labelled_classes
     ]
     correlation = comparison.share_correlation
-    reason = f" ({correlation.why})" if correlation.value is None else ""
+    value = format_estimate(correlation, 3) if correlation.value is not None else correlation.why
     return TextTable(
-        "Class fractions in % of all pixels (Fig. 10), and mean masks (Fig. 11)",
+        "Class fractions in % of whole images (Fig. 10), and mean masks (Fig. 11)",
         ("kind", "A, %", "B, %", "mask correlation", "mask SSIM"),
         tuple(rows),
         (
-            f"correlation of the class fractions: {format_estimate(correlation, 3)}{reason}",
-            *_reasons(kinds, "place_correlation"),
+            f"correlation of the class fractions: {value}",
+            *_reasons((kind.kind, kind.place_correlation.why) for kind in comparison.classes),
         ),
     )
 
@@ -189,24 +164,23 @@ def _light_table(comparison: Comparison) -> TextTable:
         ("SSIM of the mean images", format_estimate(light.ssim)),
         ("correlation of the radial falloff", format_estimate(light.falloff_correlation)),
     )
-    return TextTable("Light (Fig. 13)", ("measure", "value"), rows)
+    return TextTable("Light of whole images (Fig. 13)", ("measure", "value"), rows)
 
 
 def _saturation_table(comparison: Comparison) -> TextTable:
     rows = []
-    for kind, pair in comparison.appearance.items():
-        for letter, side in (("A", pair.first), ("B", pair.second)):
-            hue, spread = side.hue_median_deg.value, side.hue_spread_deg.value
-            rows.append(
-                (
-                    kind,
-                    letter,
-                    *(format_estimate(percentile) for percentile in side.saturation),
-                    UNKNOWN if hue is None or spread is None else f"{hue:.0f} ± {spread:.0f}",
-                    format_estimate(side.blue_dark_share, 1, 100.0),
-                    format_estimate(side.clipped_share, 1, 100.0),
-                )
+    for kind, letter, side in _appearance_sides(comparison):
+        hue, spread = side.hue_median_deg.value, side.hue_spread_deg.value
+        rows.append(
+            (
+                kind,
+                letter,
+                *(format_estimate(percentile) for percentile in side.saturation),
+                UNKNOWN if hue is None or spread is None else f"{hue:.0f} ± {spread:.0f}",
+                format_estimate(side.blue_dark_share, 1, 100.0),
+                format_estimate(side.clipped_share, 1, 100.0),
             )
+        )
     return TextTable(
         "Saturation S = C*/(L*+16), and hue weighted by chroma",
         ("kind", "set", "S 10 %", "S 50 %", "S 90 %", "hue, deg", "blue < .002, %", "clipped, %"),
@@ -214,39 +188,65 @@ def _saturation_table(comparison: Comparison) -> TextTable:
     )
 
 
-def _texture_table(comparison: Comparison) -> TextTable:
-    rows = [
-        (
-            kind,
-            letter,
-            format_estimate(side.organ_lightness_sd, 1),
-            format_estimate(side.patch_lightness_sd, 1),
-            format_estimate(side.gradient_ratio),
-            format_estimate(side.coherence),
-            format_estimate(side.gloss_share, 1, 100.0),
-            format_estimate(side.spectrum_slope),
-        )
+def _texture_tables(comparison: Comparison) -> list[TextTable]:
+    """Texture of whole images and of the classes that show it in both sets, if there are any."""
+    textured = {
+        kind: pair
         for kind, pair in comparison.appearance.items()
-        for letter, side in (("A", pair.first), ("B", pair.second))
+        if all(any(one.value is not None for one in _textures(side)) for side in (pair.first, pair.second))
+    }
+    rows, reasons = [], []
+    for kind, letter, side in _appearance_sides(comparison):
+        if kind in textured:
+            organ, patch, gradients, coherence, gloss = _textures(side)
+            rows.append(
+                (
+                    kind,
+                    letter,
+                    *(format_estimate(lightness, 1) for lightness in (organ, patch)),
+                    *(format_estimate(ratio) for ratio in (gradients, coherence)),
+                    format_estimate(gloss, 1, 100.0),
+                )
+            )
+            reasons += [(f"{kind} {letter}", estimate.why) for estimate in _textures(side)]
+        else:
+            reasons += [(kind, estimate.why) for estimate in _textures(side)]
+    if not rows:
+        return []
+    slopes = [
+        f"{letter} {format_estimate(side.spectrum_slope)} (sd {format_estimate(side.spectrum_slope_spread)})"
+        for kind, letter, side in _appearance_sides(comparison)
+        if kind == WHOLE and side.spectrum_slope.value is not None
     ]
-    spreads = [
-        format_estimate(side.spectrum_slope_spread)
-        for pair in list(comparison.appearance.values())[:1]
-        for side in (pair.first, pair.second)
-    ]
-    return TextTable(
-        "Texture: lightness in organs and in patches, gradients, gloss, power spectrum",
-        ("kind", "set", "organ sd L*", "patch sd L*", "gradients", "coherence", "gloss, %", "slope"),
+    notes = [f"slope of the power spectrum, and sd between images: {', '.join(slopes)}"] if slopes else []
+    table = TextTable(
+        "Texture: lightness in organs and in patches, gradients, gloss",
+        ("kind", "set", "organ sd L*", "patch sd L*", "gradients", "coherence", "gloss, %"),
         tuple(rows),
-        (f"sd of the slope between images, A and B: {' and '.join(spreads)}",) if spreads else (),
+        (*notes, *_reasons(reasons)),
     )
+    return [table]
 
 
-def _reasons(kinds: Iterable[KindComparison], *names: str) -> list[str]:
-    """Reasons for missing values, each with the kinds that it applies to."""
-    kinds_of: dict[str, list[str]] = {}
-    for kind in kinds:
-        for name in names:
-            if reason := getattr(kind, name).why:
-                kinds_of.setdefault(reason, []).append(kind.kind)
-    return [f"{', '.join(dict.fromkeys(names))}: {reason}" for reason, names in kinds_of.items()]
+def _appearance_sides(comparison: Comparison) -> Iterator[tuple[str, str, AppearanceMeasures]]:
+    """Kind, letter of the set and appearance, for the kinds that both sets show."""
+    for kind, pair in comparison.appearance.items():
+        if pair.first.pictures and pair.second.pictures:
+            yield kind, "A", pair.first
+            yield kind, "B", pair.second
+
+
+def _textures(side: AppearanceMeasures) -> tuple[Estimate, ...]:
+    """The measures of texture, gloss last."""
+    lightness = (side.organ_lightness_sd, side.patch_lightness_sd)
+    return (*lightness, side.gradient_ratio, side.coherence, side.gloss_share)
+
+
+def _reasons(missing: Iterable[tuple[str, str]]) -> list[str]:
+    """One line with the reasons for missing values, each after what it applies to; nothing without any."""
+    names_of: dict[str, list[str]] = {}
+    for name, reason in missing:
+        if reason:
+            names_of.setdefault(reason, []).append(name)
+    lines = [f"{', '.join(dict.fromkeys(names))} ({reason})" for reason, names in names_of.items()]
+    return [f"not measured: {'; '.join(lines)}"] if lines else []

@@ -19,7 +19,9 @@ from pepperscene.dataset.readers import KNOWN_LABELS, FolderSet, LabelMap
 from pepperscene.dataset.readers.pictures import read_mask, read_photo
 from pepperscene.document import validate
 from pepperscene.errors import InputError
-from pepperscene.truth.statistics import CENTRE_PX
+
+CENTRE_PX: Final = 300
+"""Side of the central square of Barth et al. 2018, section 3.1.1, in images of 800 x 600 pixels."""
 
 RIPE_FROM: Final = 0.5
 """Ripeness from which a fruit counts as ripe: half way from green to its final colour (chosen)."""

@@ -36,7 +36,7 @@ def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
         if info.get("format") != FORMAT:
             problem = f"has format = {info.get('format')!r}, must be {FORMAT!r}"
         elif not is_as_written(info):
-            problem = "is not what was written: its checksum differs; the same build command mends it"
+            problem = "is not what was written: its checksum differs; the same build command repairs it"
         elif info.get("recipe_sha256") != digest({name: info.get(name) for name in ("recipe", "files")}):
             problem = "is not what was written: the recipe's checksum differs"
     except InputError as error:
