@@ -196,6 +196,10 @@ class Blade(OrganModel):
     base: Factor = _constant(0.8)  # exponent of the outline at the base; small is broad
     lobes: Ratio = _constant(0.0)  # number of teeth or lobes along each margin; 0 is entire
     lobe_depth: Fraction = _constant(0.0)  # their depth, as a fraction of half the width
+    palmate: bool = False  # whether the lowest veins radiate from the base, with a lobe at the end of each
+    sinus: Fraction = _constant(0.0)  # how far the lower lobes extend behind the base, over the length
+    teeth: Amount = _constant(0.0)  # number of teeth along each margin, in addition to the lobes
+    tooth_depth: Width = _constant(0.0)  # their depth
     bites: Amount = _constant(0.0)  # number of round bites out of the margins, rounded down
     bite_width: Width = _constant(0.01)  # their mean diameter
     tears: Amount = _constant(0.0)  # number of tears along lateral veins, rounded down
@@ -212,6 +216,13 @@ class Blade(OrganModel):
     # Of residue, ageing, bites, tears, droop and hanging (minus the inclination) with the age of a leaf,
     # likewise.
     age_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+
+    @model_validator(mode="after")
+    def _check_palmate(self) -> Self:
+        for name in ("sinus", "teeth", "tooth_depth"):
+            if not self.palmate and getattr(self, name).high > 0.0:
+                raise ValueError(f"{name} needs palmate = true")
+        return self
 
 
 class Fruit(OrganModel):
