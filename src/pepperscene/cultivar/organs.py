@@ -238,6 +238,8 @@ class Fruit(OrganModel):
     taper: Factor = _constant(1.0)  # ratio of the diameter near the blossom end to the greatest
     point: Fraction = _constant(0.0)  # 0 blocky to 1 pointed
     bend: Angle = _constant(0.0)  # of the axis
+    neck: Fraction = _constant(1.0)  # ratio of the diameter beside the stalk to the greatest
+    neck_length: Fraction = _constant(0.25)  # of the part that narrows towards the stalk, over the length
     calyx_radius: Factor = _constant(0.27)  # to the longest teeth, as a ratio to the fruit's diameter
     calyx_tooth: Fraction = _constant(0.28)  # depth of the calyx' teeth, as a fraction of its radius
     calyx_state: Fraction = _constant(0.5)  # pigment state of the calyx
@@ -253,6 +255,12 @@ class Fruit(OrganModel):
     ripe: Fraction = _constant(1.0)
     ripeness_spread: Fraction = _constant(0.0)  # variation of ripeness within a fruit
     residue: Fraction = _constant(0.0)  # mean cover of the skin with russet, scars and dried spray
+    # Ribs along the skin and warts belong to the surface.
+    ribs: Annotated[int, Field(ge=0, le=24)] = 0
+    rib_height_mm: Annotated[float, Field(ge=0.0, le=3.0)] = 0.0  # of a crest over the furrows beside it
+    warts_per_cm2: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    wart_height_mm: Annotated[float, Field(ge=0.0, le=3.0)] = 0.5  # mean
+    wart_width_mm: Annotated[float, Field(ge=1.0, le=20.0)] = 3.0  # mean diameter
     lobes: Lobes = Number(probabilities={"four": 1.0}, chosen="the usual number of a blocky pepper")
     scan: Path | None = None  # a mesh file to use instead of a generated mesh
     scan_up: ScanAxis = "z"  # axis of that file that points to the stalk end

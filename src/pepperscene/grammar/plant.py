@@ -170,6 +170,8 @@ _LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "asymmetry": (-0.9, 0.9),
     "taper": (0.05, 5.0),
     "calyx_radius": (0.02, 10.0),
+    "neck": (0.2, 1.0),
+    "neck_length": (0.02, 1.0),
 }
 
 

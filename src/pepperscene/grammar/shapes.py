@@ -157,7 +157,7 @@ def _build_fruits(name: str, sites: Sites) -> NumberedOrgans:
     length = values["diameter"] * values["slenderness"]
     axis, up = _axes(sites.heading + values["aside"], values["inclination"])
     stalk_end = sites.start + height[:, None] * axis
-    shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend")
+    shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend", "neck", "neck_length")
     names = (*shape, "seed", "ripeness", "ripeness_spread", "residue")
     measures = {"length_m": length, **_select_measures(values, names)}
     curves = _lines(stalk_end, axis, length)

@@ -50,9 +50,9 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     (count along a margin), blister_m (bulge between veins), vein_m (depth of the sunken veins), asymmetry
     (fraction by which the right half is wider than the mean half, and the left narrower), widest (fraction of
     the length), base (power of the outline there), lobes (along each margin), lobe_depth (fraction of the
-    half-width), those of `spread_rows` and of `damage_margins`, ageing (a blade that dries rolls up, and its rim is crumpled),
-    state_mean, state_spread, seed. All but the sizes are optional. Measures that would tear a blade are
-    limited: fold 80 degrees, curl 150, roll 240, bulges 1/10 of the width, waves 1/8.
+    half-width), those of `spread_rows` and of `damage_margins`, ageing (a blade that dries rolls up, and its
+    rim is crumpled), state_mean, state_spread, seed. All but the sizes are optional. Measures that would tear
+    a blade are limited: fold 80 degrees, curl 150, roll 240, bulges 1/10 of the width, waves 1/8.
     """
     read_positive(organs, "length_m")  # the curve has this length; here it is only checked
     width, seed = read_positive(organs, "width_m"), read_measure(organs, "seed", 0.0)
@@ -71,7 +71,7 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     spine = _bend_tips(spine, waviness, seed)
     along = grid.pack(flat.along, flat.midrib, flat.extra_along, (0.0, 1.0))
     vertices = spine.place(along * spine.lengths[:, None], right, up)
-    # The vein pattern of the material is as wide as the wider half, on either side, and its veins are pinnate.
+    # The vein pattern of the material is as wide as the wider half, on either side; its veins are pinnate.
     out = grid.pack(_SIDES * layout.out, 0.0, _SIDES[..., 0] * layout.extra_edge)
     u = 0.5 + 0.5 * out / outline.half_extent[:, None]
     v = grid.pack(layout.along, layout.midrib, layout.extra_along, (0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Palmate blades, as of cucumber: the lowest veins radiate from the base, and lobes and teeth are on the margin.
+"""Palmate blades, as of cucumber: the lowest veins radiate from the base, to a margin with lobes and teeth.
 
 A palmate blade has the rows, columns and texture coordinates of any other, so that it shows the veins of the
 material; only the places of its vertices differ. Its margin is given in polar coordinates about the base, as
@@ -19,12 +19,10 @@ from pepperscene.geometry.blade.outline import FlatBlades
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.grammar.plant import Organ
 
-# All chosen from photographs of cucumber leaves. Directions are radians from the tip, seen from the base.
+# All chosen, as cucumber leaves look. Directions are radians from the tip, seen from the base.
 _LAST_LOBE: Final = 2.06  # direction of the lowest pair of lobes
 _REAR: Final = 3.0  # direction of the sides of the sinus where they reach the base
-_REAR_POWER: Final = (
-    4.0  # of the decrease of the radius towards them: the lower lobes are smaller and rounder
-)
+_REAR_POWER: Final = 4.0  # of the decrease of the radius towards them: the lower lobes are rounder
 _POINTED: Final = 1.2  # power of a sine from lobe to lobe; lobes are corners, notches round
 _VEIN_NUMBERS: Final = (-1.0, 0.0, 1.0, 2.0, TIP_NUMBER)
 _VEIN_DIRECTIONS: Final = (_REAR, _LAST_LOBE, 1.5, 1.03, 0.0)  # in which these veins meet the margin
@@ -32,7 +30,7 @@ _COT: Final = 0.8  # of the angle at which the upper veins leave the midrib
 _FOOT: Final = 0.03  # fraction of the midrib over which the lowest veins leave it, which else were one point
 _TOOTH_FRONT: Final = 0.3  # fraction of a tooth's length that its side towards the tip takes
 _TOOTHLESS: Final = 0.2  # of the half-width: teeth nearer to the midrib are smaller
-_DEEPEST_TOOTH: Final = 0.35, 0.08  # of the distance between teeth, and of the length of a row
+_DEEPEST_TOOTH: Final = 0.35, 0.06  # of the distance between teeth, and of the length of a row
 _DEEPEST_LOBE: Final = 0.3, 0.5  # of one lobe, and of several over their number; veins must stay inside
 _MOST_LOBES: Final = 6
 _MOST_TEETH: Final = 60
@@ -42,9 +40,11 @@ _ANGLES: Final = np.linspace(0.0, _REAR, 241)
 def spread_rows(organs: Sequence[Organ], flat: FlatBlades) -> FlatBlades:
     """Move the rows of palmate blades to their places; other blades are left as they are.
 
-    Measures, all optional but the length: length_m, palmate (1 for a palmate blade), lobes (on each side of the
-    tip), lobe_depth (fraction of the distance from the base), sinus (how far the lower lobes extend behind the
-    base, over the length), teeth (along each margin), tooth_depth_m, seed.
+    Measures, all optional but the length: length_m, palmate (1 for a palmate blade), lobes (on each side of
+    the tip), lobe_depth (fraction of the distance from the base), sinus (how far the lower lobes extend
+    behind the base, over the length), teeth (along each margin), tooth_depth_m, seed. Depths are limited so
+    that rows stay inside the margin: lobes to 0.3, several to 0.5 over their number, teeth to a third of the
+    distance between two.
 
     Args:
         organs: n blades.
@@ -152,7 +152,7 @@ class _PolarMargins:
         )
 
     def tooth_fraction(self, direction: FloatArray, points: FloatArray, feet: FloatArray) -> FloatArray:
-        """`(n, 2, m)` fraction of the way from points of the margins to the feet of their rows that is cut off."""
+        """`(n, 2, m)` fraction that teeth cut off the way from points of the margins to the feet of rows."""
         metres = np.stack([np.ones_like(self.length), self.length], axis=-1)[:, None]
         # Teeth are evenly spaced along the margin.
         line = self.place(_ANGLES) * metres
