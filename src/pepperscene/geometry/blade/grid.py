@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil
 from typing import Final
 
 import numpy as np
@@ -64,6 +65,7 @@ _PALMATE_SIDE: Final = 8  # chosen: of a palmate one, which is large
 _PALMATE_LENGTH: Final = (-1.0, 0.0, 1.0, 2.0), (0.0, 0.28, 0.42, 0.55)
 """Fractions of the margin of a palmate blade below the points of these numbers: chosen, as of cucumber."""
 _PER_TOOTH: Final = 5  # chosen: pieces of a margin to a tooth
+_TEETH_STEP: Final = 8  # chosen: numbers of teeth between which blades share a grid, as it is kept
 
 FAN_POWER: Final = 1.5
 """Chosen: row i of k below the first vein meets the margin at (i/k)^1.5 of the way, evenly along a round
@@ -156,7 +158,7 @@ def blade_grid(detail: float, lobes: float, teeth: float | None = None) -> Grid:
     fan, per_vein = subdivisions(_FAN, detail, 3), subdivisions(_PER_VEIN, detail, 2 if detail >= 0.2 else 1)
     side, pieces = _SIDE, _MARGIN
     if teeth is not None:
-        side, pieces = _PALMATE_SIDE, max(_MARGIN, round(_PER_TOOTH * teeth))
+        side, pieces = _PALMATE_SIDE, max(_MARGIN, _PER_TOOTH * _TEETH_STEP * ceil(teeth / _TEETH_STEP))
     if lobes <= 0.0:
         side, pieces = subdivisions(side, detail, 3), subdivisions(pieces, margin_detail, 16)
         return _grid(fan, per_vein, side, pieces, palmate=teeth is not None)

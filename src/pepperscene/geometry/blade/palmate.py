@@ -110,7 +110,7 @@ class _PolarMargins:
         def read(name: str, limit: float) -> FloatArray:
             return np.clip(read_measure(organs, name, 0.0), 0.0, limit)[:, None, None]
 
-        count = 3 + _MOST_LOBES + _MOST_TEETH
+        count = 2 + _MOST_LOBES + _MOST_TEETH
         lobes = np.round(read("lobes", _MOST_LOBES))
         deepest = np.minimum(_DEEPEST_LOBE[0], _DEEPEST_LOBE[1] / np.maximum(lobes, 1.0))
         margins = cls(
@@ -139,7 +139,7 @@ class _PolarMargins:
         even = direction / _LAST_LOBE * self.lobes
         position = even + 0.05 * (np.sin(2.0 * np.pi * 0.7 * even + phase) - np.sin(phase))
         index = np.minimum(position.astype(np.intp), _MOST_LOBES - 1)
-        uneven = 0.75 + 0.5 * np.take_along_axis(self.numbers[..., 3 : 3 + _MOST_LOBES], index, axis=2)
+        uneven = 0.75 + 0.5 * np.take_along_axis(self.numbers[..., 2 : 2 + _MOST_LOBES], index, axis=2)
         notch = np.abs(np.sin(np.pi * position)) ** _POINTED * (position < self.lobes)
         closing = np.sqrt(np.clip(1.0 - (direction / _REAR) ** _REAR_POWER, 0.0, 1.0))
         depth = np.zeros_like(self.depth) if entire else self.depth
@@ -164,7 +164,7 @@ class _PolarMargins:
         part, index = np.modf(position)
         back = 1.0 - _TOOTH_FRONT
         cut = np.where(part < back, part / back, (1.0 - part) / _TOOTH_FRONT)
-        table = self.numbers[..., 3 + _MOST_LOBES :]
+        table = self.numbers[..., 2 + _MOST_LOBES :]
         uneven = 0.6 + 0.4 * np.take_along_axis(table, index.astype(np.intp) % _MOST_TEETH, axis=2)
         # They vanish near the tip, which is a tooth of its own, and around the lower lobes, which are smooth.
         cut = cut * uneven * np.clip(points[..., 0] / (_TOOTHLESS * self.half_width[..., None]), 0.0, 1.0)
