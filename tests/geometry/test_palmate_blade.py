@@ -83,7 +83,9 @@ def test_stated_number_of_lobes(count):
 @pytest.mark.parametrize("detail", [0.3, 0.6, 2.0])
 def test_the_outline_is_the_same_at_every_detail(detail):
     for seed in (0.2, 0.7):
-        (points, batch), (reference, own) = (flat(palmate(seed=seed), detail=value) for value in (detail, 1.0))
+        (points, batch), (reference, own) = (
+            flat(palmate(seed=seed), detail=value) for value in (detail, 1.0)
+        )
         expected = area(margin(reference[0], own.faces))
         assert area(margin(points[0], batch.faces)) == pytest.approx(expected, rel=0.01)
 

@@ -72,21 +72,20 @@ def spread_rows(organs: Sequence[Organ], flat: FlatBlades) -> FlatBlades:
     steps[..., -1, :] = (toothed - foot)[:, :, rows]
     out, along = np.moveaxis(steps, -1, 0)
     along = along + start[:, None, rows, None]
-    places = {
-        "reach": toothed[..., 0],
-        "edge": out[..., -1],
-        "midrib": start[:, rows],
-        "out": out,
-        "along": along,
-        "extra_edge": toothed[:, :, extra, 0],
-        "extra_along": toothed[:, :, extra, 1],
-    }
 
-    def choose(name: str, value: FloatArray) -> FloatArray:
-        chosen = palmate.reshape(-1, *[1] * (value.ndim - 1))
-        return np.where(chosen, value, getattr(flat, name))
+    def choose(moved: FloatArray, unmoved: FloatArray) -> FloatArray:
+        return np.where(palmate.reshape(-1, *[1] * (moved.ndim - 1)), moved, unmoved)
 
-    return replace(flat, **{name: choose(name, value) for name, value in places.items()})
+    return replace(
+        flat,
+        reach=choose(toothed[..., 0], flat.reach),
+        edge=choose(out[..., -1], flat.edge),
+        midrib=choose(start[:, rows], flat.midrib),
+        out=choose(out, flat.out),
+        along=choose(along, flat.along),
+        extra_edge=choose(toothed[:, :, extra, 0], flat.extra_edge),
+        extra_along=choose(toothed[:, :, extra, 1], flat.extra_along),
+    )
 
 
 @dataclass(frozen=True, eq=False)
