@@ -94,10 +94,16 @@ def crops() -> Picture:
 
 
 def crop_row() -> Picture:
-    """A row of cucumbers in daylight, at standing height."""
-    recipe = load_recipe("greenhouse", {"cultivar": "cucumber"})
-    renderer = FrameRenderer(recipe)
-    return renderer.render(recipe.plan.frame(ROW_FRAME), ("colour",)).colour
+    """A row of cucumbers in daylight: the recipe of the page about other crops."""
+    changes = {
+        "cultivar": "cucumber",
+        "views.distance_mm": 900,
+        "views.height_mm": [1300, 1400],
+        "camera.exposure_us": "auto",
+        "camera.focus_mm": 900,
+    }
+    renderer = FrameRenderer(load_recipe("greenhouse", changes))
+    return renderer.render(renderer.recipe.plan.frame(ROW_FRAME), ("colour",)).colour
 
 
 def stages() -> Picture:

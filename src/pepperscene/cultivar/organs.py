@@ -211,6 +211,8 @@ class Blade(OrganModel):
     residue_reflectance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.45
     residue_behind: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # cover of the lower side over that above
     residue_shares: ResidueShares = ResidueShares()  # what it consists of
+    # Height of the finest bulges and veins over that of sweet pepper; belongs to the surface, as the residue.
+    relief: Annotated[float, Field(ge=0.0, le=3.0)] = 1.0
     ageing: Fraction = _constant(0.0)  # 0 healthy, through yellow or dry rims and spots, to 1 dried up
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
     # Of residue, ageing, bites, tears, droop and hanging (minus the inclination) with the age of a leaf,

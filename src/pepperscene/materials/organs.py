@@ -68,12 +68,12 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     blade = cultivar.organs.get(kind)
     if isinstance(blade, Blade):
         outline = blade.distributions
-        grid = BladeGrid.build(size_mm, outline["widest"].mean, outline["base"].mean)
+        grid = BladeGrid.build(size_mm, outline["widest"].mean, outline["base"].mean, palmate=blade.palmate)
         textures = leaf_textures(grid, rng, residue_shares=blade.residue_shares.values)
         return replace(
             leaf_surface(name, path, nm),
             pattern=textures.pattern,
-            relief_mm=textures.relief_mm,
+            relief_mm=np.float32(blade.relief) * textures.relief_mm,
             residue_pattern=textures.residue_pattern,
             ageing_order=textures.ageing_order,
         )
