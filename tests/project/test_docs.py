@@ -145,7 +145,8 @@ def test_every_page_is_in_one_of_four_kinds() -> None:
 
 
 @pytest.mark.parametrize(
-    "phrase", ["field of view", "resolution", "RealSense", "bounding boxes", "motion blur", "exposure"]
+    "phrase",
+    ["field of view", "resolution", "RealSense", "bounding boxes", "motion blur", "exposure", "cucumber"],
 )
 def test_what_a_reader_searches_for_is_in_a_heading_of_a_how_to_page(phrase: str) -> None:
     headings = [

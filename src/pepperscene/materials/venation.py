@@ -95,7 +95,8 @@ class BladeGrid:
         steepness = np.hypot(1.0, np.gradient(half, along * size_mm[1]))
         edge = (half[:, None] - np.abs(x)) / steepness[:, None]
         arrays = (x, along[:, None] * size_mm[1], half[:, None], edge)
-        return cls(size_mm, pixel_mm, *(array.astype(np.float32) for array in arrays), palmate=palmate)
+        x_mm, y_mm, half_mm, edge_mm = (array.astype(np.float32) for array in arrays)
+        return cls(size_mm, pixel_mm, x_mm, y_mm, half_mm, edge_mm, palmate)
 
     @property
     def shape(self) -> tuple[int, int]:
