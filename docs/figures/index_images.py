@@ -617,6 +617,11 @@ def command_line() -> Image.Image:
     return terminal(lines[:14])
 
 
+def own_crop() -> Image.Image:
+    """A row of cucumbers, out of the picture of its page."""
+    return fill(np.asarray(Image.open(IMAGES / "own_crop_row.jpg").convert("RGB")))
+
+
 def troubleshooting() -> Image.Image:
     """What `pepperscene doctor` finds."""
     done = subprocess.run(
@@ -1094,7 +1099,7 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, build, camera, vary, motion,
-    read, learn, export, cultivar, outputs, harvest, check, plants, rendering, realism,
+    read, learn, export, own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

@@ -1,4 +1,4 @@
-"""Render the figures of the page about plants into docs/images.
+"""Render the figures of the pages about plants and about other crops into docs/images.
 
 Run it after a change that affects them:
 
@@ -85,6 +85,27 @@ def cultivars() -> Picture:
     return stacked([side_by_side(half_size(portraits[:2])), side_by_side(half_size(portraits[2:]))])
 
 
+def crops() -> Picture:
+    """Two crops other than those of `cultivars`, likewise."""
+    names = ("cucumber", "eggplant")
+    return side_by_side(
+        half_size([portrait(grow_plant(name, seed=5).mesh, load_cultivar(name)) for name in names])
+    )
+
+
+def crop_row() -> Picture:
+    """A row of cucumbers in daylight: the recipe of the page about other crops."""
+    changes = {
+        "cultivar": "cucumber",
+        "views.distance_mm": 900,
+        "views.height_mm": [1300, 1400],
+        "camera.exposure_us": "auto",
+        "camera.focus_mm": 900,
+    }
+    renderer = FrameRenderer(load_recipe("greenhouse", changes))
+    return renderer.render(renderer.recipe.plan.frame(ROW_FRAME), ("colour",)).colour
+
+
 def stages() -> Picture:
     """One seed at four dates: the three shipped stages, and one between the last two."""
     spring, autumn = load_cultivar("kaite"), load_cultivar("kaite_september")
@@ -117,7 +138,11 @@ def stacked(rows: list[Picture]) -> Picture:
     return np.vstack(padded_rows)[GAP:]
 
 
+ROW_FRAME: Final = 4
+
 FIGURES: Final[dict[str, Callable[[], Picture]]] = {
+    "own_crop.jpg": crops,
+    "own_crop_row.jpg": crop_row,
     "plant_photographs.jpg": photographs,
     "plant_cultivars.png": cultivars,
     "plant_stages.png": stages,

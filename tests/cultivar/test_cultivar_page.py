@@ -40,11 +40,20 @@ def test_shown_files_load(name: str, tmp_path: Path) -> None:
     for scan in ("blocky.ply", "pointed.ply"):
         (tmp_path / scan).write_text("ply")
     (tmp_path / name).write_text(FILES[name], encoding="utf-8")
-    cultivar = load_cultivar(tmp_path / name)
-    if name == "cucumber.toml":
-        # Of the crop that it extends, only the internodes grow.
-        inherited = set(cultivar.present_kinds) - set(tomllib.loads(FILES[name])["organs"])
-        assert inherited == {cultivar.stem.internode}
+    load_cultivar(tmp_path / name)
+
+
+def test_files_of_the_guide_make_another_crop(tmp_path: Path) -> None:
+    """Each extends the one before, and of the crop that the first extends only the internodes grow."""
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "own_crop.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```toml\n(# (my_\w+\.toml)\n.*?)^```", page, re.MULTILINE | re.DOTALL)
+    kinds = set()
+    for text, name in blocks:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        kinds |= set(tomllib.loads(text)["organs"])
+    cultivar = load_cultivar(tmp_path / blocks[-1][1])
+    assert set(cultivar.present_kinds) == kinds
+    assert {"fruit", "blade", "node"} <= {cultivar.organs[kind].form for kind in kinds}
 
 
 def test_shown_distributions_are_valid() -> None:

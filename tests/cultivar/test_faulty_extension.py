@@ -51,6 +51,11 @@ OWN_FAULTS = {
     "new kind without a form": ("kaite", "[organs.thorn]\nsize_correlation = 0.5", "organs.thorn"),
     "new kind without its lengths": ("kaite", '[organs.thorn]\nform = "cut"', "organs.thorn.diameter"),
     "stem of an unknown node": ("kaite", '[stem]\nnode = "nod"', "stem.node"),
+    "teeth of a pinnate blade": (
+        "kaite",
+        '[organs.lamina]\nteeth = { value = 20, chosen = "x" }',
+        "organs.lamina",
+    ),
     "unknown table": ("kaite", "[leaf]\nlength = 3", "leaf"),
 }
 

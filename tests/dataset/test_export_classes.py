@@ -199,6 +199,8 @@ def test_dropped_organs_are_those_that_the_border_may_cut(format_name, labels, t
     [
         ("kaite", "pepper", "sweet pepper"),
         ("tomato", "tomato", "Solanum lycopersicum"),
+        ("cucumber", "cucumber", "Cucumis sativus"),
+        ("eggplant", "eggplant", "Solanum melongena"),
         ("cucumber_of_mine", "fruit", "cucumber_of_mine"),
     ],
 )

@@ -153,6 +153,7 @@ def test_ripeness_needs_the_harvest_truth(tmp_path):
         ("kaite", "sweet pepper"),
         ("red_blocky", "sweet pepper"),
         ("tomato", "Solanum lycopersicum"),
+        ("cucumber", "Cucumis sativus"),
         ("cucumber_of_mine", "cucumber_of_mine"),
         ("../plants/tomato", "../plants/tomato"),
     ],

@@ -253,8 +253,8 @@ def test_unknown_table_and_missing_key_are_named(write_recipe, tmp_path):
 
 
 def test_unknown_cultivar_is_named_with_its_file(write_recipe):
-    path = write_recipe(cultivar="cucumber")
-    with pytest.raises(InputError, match=r"cultivar = 'cucumber'.*kaite") as error:
+    path = write_recipe(cultivar="zucchini")
+    with pytest.raises(InputError, match=r"cultivar = 'zucchini'.*kaite") as error:
         load_recipe(path)
     assert error.value.where == str(path)
 

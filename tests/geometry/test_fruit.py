@@ -48,6 +48,27 @@ def test_fruit_has_the_stated_length_and_diameter(
     np.testing.assert_allclose(greatest_width(points), length / slimness, rtol=0.003)
 
 
+@pytest.mark.parametrize("neck", [0.4, 0.7])
+def test_a_neck_narrows_the_fruit_beside_its_stalk(neck):
+    """By a parabola, up to the stated length of the neck; length and diameter stay as stated."""
+    long = {"length_m": 0.3, "diameter_m": 0.04, "lobe_depth": 0.0, "shoulder": 0.0, "taper": 1.0}
+    plain, necked = (
+        merged(mesh_organs(fruit(**long, neck=value, neck_length=0.4), detail=4.0)) for value in (1.0, neck)
+    )
+    for points in (plain.vertices, necked.vertices):
+        np.testing.assert_allclose(np.ptp(points[:, 2]), 0.3, rtol=1e-5)
+        np.testing.assert_allclose(greatest_width(points), 0.04, rtol=0.003)
+
+    def width_at(body, depth):
+        section = body.section(plane_origin=[0, 0, -depth], plane_normal=[0, 0, 1])
+        return 2 * np.linalg.norm(max(section.discrete, key=len)[:, :2], axis=1).mean()
+
+    for depth in (0.03, 0.06, 0.09):
+        expected = 1.0 - (1.0 - neck) * (1.0 - depth / (0.4 * 0.3)) ** 2
+        assert width_at(necked, depth) / width_at(plain, depth) == pytest.approx(expected, abs=0.02)
+    assert width_at(necked, 0.2) == pytest.approx(width_at(plain, 0.2), rel=0.01)
+
+
 def test_fruit_has_a_stalk_cavity_and_a_dimple_at_the_blossom_end():
     points = mesh_organs(fruit()).vertices
     # The first vertex is where the stalk meets the fruit: the base of the curve.

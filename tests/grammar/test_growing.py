@@ -23,13 +23,13 @@ MEASURES = {
     "flower": {"radius_m", "petals", "open", "seed", "state_mean"},
     "fruit": {
         *("length_m", "diameter_m", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend_rad"),
-        *("seed", "ripeness", "ripeness_spread", "residue"),
+        *("neck", "neck_length", "seed", "ripeness", "ripeness_spread", "residue"),
     },
     "blade": {
         *("length_m", "width_m", "fold_rad", "margin_wave_m", "margin_waves", "blister_m", "vein_m"),
         *("twist_rad", "curl_rad", "asymmetry", "widest", "base", "lobes", "lobe_depth"),
         *("rolled_rad", "bites", "bite_width_m", "tears", "tear_depth", "residue", "ageing"),
-        *("seed", "state_mean", "state_spread"),
+        *("palmate", "sinus", "teeth", "tooth_depth_m", "seed", "state_mean", "state_spread"),
     },
 }
 

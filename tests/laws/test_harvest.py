@@ -212,6 +212,7 @@ def centroid(points, normal):
 
 
 FEW = (("kaite", 1, 110, 2, 1), ("tomato", 2, 40, 1, 0))
+LONG_FRUIT = (("cucumber", 1, 30, 1, 0),)
 MANY = tuple(
     (crop, 10 * seed + number, step)
     for number, crop in enumerate(CROPS)
@@ -221,8 +222,8 @@ MANY = tuple(
 
 @pytest.mark.parametrize(
     ("views", "count", "most", "seed"),
-    [(FEW, 20, 100, 5), pytest.param(MANY, 100, None, 6, marks=pytest.mark.long)],
-    ids=["few", "many"],
+    [(FEW, 20, 100, 5), (LONG_FRUIT, 4, 60, 7), pytest.param(MANY, 100, None, 6, marks=pytest.mark.long)],
+    ids=["few", "long fruit", "many"],
 )
 def test_harvest_truth_equals_that_of_another_ray_caster(views, count, most, seed):
     rendered = [render_view(*view) for view in views]

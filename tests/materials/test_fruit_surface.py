@@ -77,6 +77,26 @@ def test_ripe_fruit_has_measured_hues(nm):
     assert hue["red_blocky"] + 5 < hue["tomato"] < hue["orange_pointed"] - 5
 
 
+def test_cucumbers_are_dark_green_and_eggplants_nearly_black(nm):
+    """At harvest size, gloss included. A young cucumber is lighter and yellower, an eggplant more purple."""
+    young, ready = (
+        with_gloss(load_cultivar("cucumber").pigments["fruit"], nm, state) for state in (0.0, 1.0)
+    )
+    lightness, a, b = lab(ready, nm)
+    assert 34 < lightness < 40
+    assert 18 < np.hypot(a, b) < 30
+    assert 120 < lab_hue(ready, nm) < 140
+    assert lab(young, nm)[0] > lightness + 5
+    assert lab_hue(young, nm) < lab_hue(ready, nm)
+    young, ready = (
+        with_gloss(load_cultivar("eggplant").pigments["fruit"], nm, state) for state in (0.0, 1.0)
+    )
+    lightness, a, b = lab(ready, nm)
+    assert lightness < 27
+    assert np.hypot(a, b) < 8
+    assert lab(young, nm)[1] > a + 3
+
+
 def test_a_red_fruit_turns_brown_before_it_is_red(kaite, nm):
     red = load_cultivar("red_blocky").pigments["fruit"]
     assert red.start == kaite.pigments["fruit"].start

@@ -1,5 +1,7 @@
 """Textures of leaves: relief, pigment pattern, residue and the order of ageing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plant_colours import at, lab
@@ -247,3 +249,19 @@ def test_a_leaf_of_kaite_has_its_maps(surfaces):
     assert shapes == {(TEXTURES, 512, 425)}
     assert leaf.first_state == -1
     assert at(leaf.reflectance[:, 0], -1.0, leaf.first_state).shape == leaf.wavelength_nm.shape
+
+
+def test_a_palmate_blade_has_pale_main_veins_beside_its_midrib(grid, textures):
+    """The lowest lateral veins are paler and deeper by half or more; nothing else changes."""
+    palmate = leaf_textures(replace(grid, palmate=True), np.random.default_rng(1), count=2)
+    paler, lower = textures.pattern[:2] - palmate.pattern, textures.relief_mm[:2] - palmate.relief_mm
+    assert paler.min() == 0.0
+    assert lower.min() == pytest.approx(0.0, abs=1e-6)
+    assert paler.max() > 0.2
+    assert lower.max() > 0.2
+    # Three veins on each side take a few hundredths of the blade, below the upper third of the midrib.
+    veins = paler > 0.05
+    assert 0.01 < veins.mean() < 0.1
+    middle = slice(grid.shape[1] * 4 // 10, grid.shape[1] * 6 // 10)
+    assert not veins[:, 2 * grid.shape[0] // 3 :, middle].any()
+    np.testing.assert_array_equal(palmate.ageing_order, textures.ageing_order[:2])

@@ -181,3 +181,11 @@ def test_a_coarse_grid_samples_the_fine_one(surfaces, kaite, nm):
     coarse = organ_surfaces(kaite, nm[::8]) | greenhouse_surfaces(nm[::8])
     for name, surface in coarse.items():
         assert surface.reflectance == pytest.approx(surfaces[name].reflectance[..., ::8], abs=1e-12)
+
+
+def test_relief_of_leaves_is_that_of_sweet_pepper_times_a_factor(surfaces, kaite):
+    """`relief` of a kind of blade, which is 1 by default."""
+    lamina = kaite.organs["lamina"].model_copy(update={"relief": 0.5})
+    low = kaite.model_copy(update={"organs": {**kaite.organs, "lamina": lamina}})
+    half = organ_surfaces(low, [550.0])["leaf"].relief_mm
+    np.testing.assert_array_equal(half, 0.5 * surfaces["leaf"].relief_mm)

@@ -41,7 +41,7 @@ EXTENDED = re.compile(r'^extends = "(\w+)"$', re.MULTILINE)
 NEED_TORCH = {"api.md", "learn.md", "robot_data_set.md"}
 """Pages whose examples need torch, which cannot be installed everywhere."""
 SEARCHES = {
-    "field of view": "how-to/camera", "resolution": "how-to/camera", "RealSense": "how-to/camera",
+    "cucumber": "how-to/own_crop", "field of view": "how-to/camera", "resolution": "how-to/camera", "RealSense": "how-to/camera",
     "exposure": "how-to/camera", "motion blur": "how-to/motion", "bounding boxes": "how-to/read",
     "resume": "how-to/build", "YOLO": "how-to/export", "COCO": "how-to/export", "depth": "how-to/export",
     "nerfstudio": "how-to/export", "FiftyOne": "how-to/troubleshooting", "Slurm": "how-to/cluster",

@@ -36,7 +36,17 @@ def table(mean, sd, low, high, **more):
 
 
 @pytest.mark.parametrize(
-    "name", ["kaite", "red_blocky", "orange_pointed", "tomato", "kaite_september", "kaite_february"]
+    "name",
+    [
+        "kaite",
+        "red_blocky",
+        "orange_pointed",
+        "tomato",
+        "cucumber",
+        "eggplant",
+        "kaite_september",
+        "kaite_february",
+    ],
 )
 def test_shipped_bounds_include_the_values_of_cultivars(name):
     for parameter in all_parameters(RECIPE, load_cultivar(name), CAMERA).values():

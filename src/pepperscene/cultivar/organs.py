@@ -193,6 +193,10 @@ class Blade(OrganModel):
     base: Factor = _constant(0.8)  # exponent of the outline at the base; small is broad
     lobes: Ratio = _constant(0.0)  # number of teeth or lobes along each margin; 0 is entire
     lobe_depth: Fraction = _constant(0.0)  # their depth, as a fraction of half the width
+    palmate: bool = False  # whether the lowest veins radiate from the base, with a lobe at the end of each
+    sinus: Fraction = _constant(0.0)  # how far the lower lobes extend behind the base, over the length
+    teeth: Amount = _constant(0.0)  # number of teeth along each margin, in addition to the lobes
+    tooth_depth: Width = _constant(0.0)  # their depth
     bites: Amount = _constant(0.0)  # number of round bites out of the margins, rounded down
     bite_width: Width = _constant(0.01)  # their mean diameter
     tears: Amount = _constant(0.0)  # number of tears along lateral veins, rounded down
@@ -204,11 +208,20 @@ class Blade(OrganModel):
     residue_reflectance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.45
     residue_behind: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # cover of the lower side over that above
     residue_shares: ResidueShares = ResidueShares()  # what it consists of
+    # Height of the finest bulges and veins over that of sweet pepper; belongs to the surface, as the residue.
+    relief: Annotated[float, Field(ge=0.0, le=3.0)] = 1.0
     ageing: Fraction = _constant(0.0)  # 0 healthy, through yellow or dry rims and spots, to 1 dried up
     size_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # of length and width (Gaussian copula)
     # Of residue, ageing, bites, tears, droop and hanging (minus the inclination) with the age of a leaf,
     # likewise.
     age_correlation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+
+    @model_validator(mode="after")
+    def _check_palmate(self) -> Self:
+        for name in ("sinus", "teeth", "tooth_depth"):
+            if not self.palmate and getattr(self, name).high > 0.0:
+                raise ValueError(f"{name} needs palmate = true")
+        return self
 
 
 class Fruit(OrganModel):
@@ -224,6 +237,8 @@ class Fruit(OrganModel):
     taper: Factor = _constant(1.0)  # ratio of the diameter near the blossom end to the greatest
     point: Fraction = _constant(0.0)  # 0 blocky to 1 pointed
     bend: Angle = _constant(0.0)  # of the axis
+    neck: Fraction = _constant(1.0)  # ratio of the diameter beside the stalk to the greatest
+    neck_length: Fraction = _constant(0.25)  # of the part that narrows towards the stalk, over the length
     calyx_radius: Factor = _constant(0.27)  # to the longest teeth, as a ratio to the fruit's diameter
     calyx_tooth: Fraction = _constant(0.28)  # depth of the calyx' teeth, as a fraction of its radius
     calyx_state: Fraction = _constant(0.5)  # pigment state of the calyx
@@ -239,6 +254,12 @@ class Fruit(OrganModel):
     ripe: Fraction = _constant(1.0)
     ripeness_spread: Fraction = _constant(0.0)  # variation of ripeness within a fruit
     residue: Fraction = _constant(0.0)  # mean cover of the skin with russet, scars and dried spray
+    # Ribs along the skin and warts belong to the surface.
+    ribs: Annotated[int, Field(ge=0, le=24)] = 0
+    rib_height_mm: Annotated[float, Field(ge=0.0, le=3.0)] = 0.0  # of a crest over the furrows beside it
+    warts_per_cm2: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    wart_height_mm: Annotated[float, Field(ge=0.0, le=3.0)] = 0.5  # mean
+    wart_width_mm: Annotated[float, Field(ge=1.0, le=20.0)] = 3.0  # mean diameter
     lobes: Lobes = Number(probabilities={"four": 1.0}, chosen="the usual number of a blocky pepper")
     scan: ScanFiles = ()  # mesh files to use instead of a generated mesh; each fruit uses one
     scan_weights: ScanWeights = ()  # relative frequency of each of them; equal if empty

@@ -23,7 +23,7 @@ _YOUNG_PALE: Final = 0.35  # fall of a young blade's state, at size 0
 
 _SIZE_PARAMETERS: Final[Mapping[OrganForm, tuple[str, ...]]] = {
     "stalk": ("length", "diameter"),
-    "blade": ("length", "width", "margin_wave", "blister", "vein"),
+    "blade": ("length", "width", "margin_wave", "blister", "vein", "tooth_depth"),
     "peduncle": ("length", "diameter"),
     "fruit": ("diameter",),
     "cut": ("diameter",),
@@ -33,6 +33,7 @@ _SIZE_PARAMETERS: Final[Mapping[OrganForm, tuple[str, ...]]] = {
 
 _CONSTANTS: Final[Mapping[OrganForm, tuple[str, ...]]] = {
     "stalk": ("towards", "channel"),
+    "blade": ("palmate",),
     "flower": ("petals",),
 }
 """Parameters that are equal for all organs of a kind."""

@@ -160,6 +160,7 @@ _LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     **dict.fromkeys(("length", "width", "diameter"), (_SMALLEST, _INF)),
     **dict.fromkeys(("groove", "margin_wave", "margin_waves", "blister", "vein"), (0.0, _INF)),
     **dict.fromkeys(("lobes", "lobe_depth", "shoulder", "bites", "bite_width", "tears"), (0.0, _INF)),
+    **dict.fromkeys(("sinus", "teeth", "tooth_depth"), (0.0, _INF)),
     **dict.fromkeys(("state", "state_spread", "residue", "ageing", "tear_depth"), (0.0, 1.0)),
     **dict.fromkeys(("ripeness", "ripeness_spread"), (0.0, 1.0)),
     **dict.fromkeys(("point", "calyx_tooth", "calyx_state", "open"), (0.0, 1.0)),
@@ -169,6 +170,8 @@ _LIMITS: Final[Mapping[str, tuple[float, float]]] = {
     "asymmetry": (-0.9, 0.9),
     "taper": (0.05, 5.0),
     "calyx_radius": (0.02, 10.0),
+    "neck": (0.2, 1.0),
+    "neck_length": (0.02, 1.0),
 }
 
 

@@ -64,6 +64,7 @@ _MEASURE_NAMES: Final[Mapping[str, str]] = {
     "blister": "blister_m",
     "vein": "vein_m",
     "bite_width": "bite_width_m",
+    "tooth_depth": "tooth_depth_m",
     "state": "state_mean",
 }
 """Parameters whose measure has another name, in which lengths and angles have their unit."""
@@ -136,7 +137,7 @@ def _build_blades(name: str, sites: Sites) -> NumberedOrgans:
     roll = sites.roll(slopes[:, 0], steps[:, 0]) + values["roll"]
     up = upper_side(sites.azimuth, slopes[:, 0], steps[:, 0], roll)
     shape = ("fold", "curl", "rolled", "twist", "margin_wave", "margin_waves", "blister", "vein", "asymmetry")
-    outline = ("widest", "base", "lobes", "lobe_depth")
+    outline = ("widest", "base", "lobes", "lobe_depth", "palmate", "sinus", "teeth", "tooth_depth")
     damage = ("bites", "bite_width", "tears", "tear_depth", "residue", "ageing")
     names = ("length", "width", *shape, *outline, *damage, "seed", "state", "state_spread")
     curves = polylines(sites.start, steps, values["length"])
@@ -156,7 +157,7 @@ def _build_fruits(name: str, sites: Sites) -> NumberedOrgans:
     length = values["diameter"] * values["slenderness"]
     axis, up = _axes(sites.heading + values["aside"], values["inclination"])
     stalk_end = sites.start + height[:, None] * axis
-    shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend")
+    shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend", "neck", "neck_length")
     names = (*shape, "seed", "ripeness", "ripeness_spread", "residue")
     measures = {"length_m": length, **_select_measures(values, names)}
     curves = _lines(stalk_end, axis, length)

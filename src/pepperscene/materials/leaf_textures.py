@@ -94,6 +94,8 @@ def vein_pattern(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.rand
     thick = thick * np.exp(rng.spawn(1)[0].normal(0.0, 0.2))
     paler = 0.57 * (1.0 - 0.3 * grid.height) * _ridge(veins.midrib_mm, thick)
     paler = np.maximum(paler, (0.08 + 0.17 * taper) * _ridge(veins.lateral_mm, 0.28 + 0.22 * taper))
+    if veins.main_mm is not None:
+        paler = np.maximum(paler, 0.5 * taper * _ridge(veins.main_mm, 0.35 + 0.55 * taper))
     # Tissue near the larger veins is somewhat paler than that further away.
     paler = np.maximum(paler, 0.05 * taper * _ridge(veins.lateral_mm, 1.5))
     paler = np.maximum(paler, 0.10 * _ridge(veins.islet_mm, 0.35))
@@ -122,6 +124,8 @@ def vein_relief(veins: Venation, grid: BladeGrid, tile: FieldTile, rng: np.rando
     taper = (1.0 - 0.6 * veins.out) * (1.0 - 0.6 * grid.height**2)
     relief -= 0.45 * (1.0 - 0.6 * grid.height) * _ridge(veins.midrib_mm, 1.3)
     relief -= 0.22 * taper * _ridge(veins.lateral_mm, 0.9)
+    if veins.main_mm is not None:
+        relief -= 0.3 * taper * _ridge(veins.main_mm, 1.2)
     relief -= 0.07 * _ridge(veins.mesh_mm, 0.6)
     return np.asarray(relief, dtype=np.float32)
 

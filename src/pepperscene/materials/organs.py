@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 from hashlib import sha256
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.cultivar import Blade, Cultivar, OrganForm
+from pepperscene.cultivar import Blade, Cultivar, Fruit, OrganForm, OrganModel
+from pepperscene.materials.fruit_skin import FruitSkin
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.materials.leaf_textures import leaf_textures
 from pepperscene.materials.patterns import noise_mm
@@ -67,12 +68,12 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     blade = cultivar.organs.get(kind)
     if isinstance(blade, Blade):
         outline = blade.distributions
-        grid = BladeGrid.build(size_mm, outline["widest"].mean, outline["base"].mean)
+        grid = BladeGrid.build(size_mm, outline["widest"].mean, outline["base"].mean, palmate=blade.palmate)
         textures = leaf_textures(grid, rng, residue_shares=blade.residue_shares.values)
         return replace(
             leaf_surface(name, path, nm),
             pattern=textures.pattern,
-            relief_mm=textures.relief_mm,
+            relief_mm=np.float32(blade.relief) * textures.relief_mm,
             residue_pattern=textures.residue_pattern,
             ageing_order=textures.ageing_order,
         )
@@ -83,8 +84,14 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     if form == "fruit":
         mean = {key: value.mean for key, value in cultivar.organs[kind].distributions.items()}
         calyx_mm = 1e3 * mean["calyx_radius"] * mean["diameter"]
-        return fruit_surface(name, path, nm, size_mm, calyx_mm, rng)
+        return fruit_surface(name, path, nm, size_mm, calyx_mm, _fruit_skin(cultivar.organs[kind]), rng)
     return green_surface(name, form, path, nm, size_mm, rng)
+
+
+def _fruit_skin(fruit: OrganModel) -> FruitSkin:
+    """Ribs and warts of a kind of fruit."""
+    assert isinstance(fruit, Fruit)
+    return FruitSkin(**{field.name: getattr(fruit, field.name) for field in fields(FruitSkin)})
 
 
 def _size_mm(cultivar: Cultivar, kind: str, form: OrganForm) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pepperscene.cultivar import OrganForm, PigmentPath
+from pepperscene.materials.fruit_skin import FruitSkin, add_skin
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.rind_textures import fruit_textures, green_textures, uncorrelated
@@ -112,6 +113,7 @@ def fruit_surface(
     wavelength_nm: FloatArray,
     size_mm: tuple[float, float],
     calyx_mm: float,
+    skin: FruitSkin,
     rng: np.random.Generator,
 ) -> Surface:
     """Fruit that ripens in patches, in addition to the ripeness that the mesh gives each of its points.
@@ -125,9 +127,11 @@ def fruit_surface(
         wavelength_nm: `(n,)`.
         size_mm: girth and length.
         calyx_mm: radius of the calyx.
+        skin: ribs and warts.
         rng: draws the textures.
     """
     textures = fruit_textures(size_mm, calyx_mm, rng)
+    textures = add_skin(textures, size_mm, skin, rng)
     surface = _rind_surface(name, path, wavelength_nm, textures.pattern, textures.relief_mm)
     mean = textures.cover.mean(axis=(1, 2), keepdims=True)
     return replace(

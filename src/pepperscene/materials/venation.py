@@ -20,6 +20,8 @@ VEIN_COT_BASE: Final = 1.0 / np.tan(np.radians(60.0))  # of the angles of latera
 VEIN_COT_TIP: Final = 1.0 / np.tan(np.radians(45.0))
 VEIN_ASPECT: Final = 112.0 / 135.0
 """Width over length of the blade that the vein layout is defined for; other blades stretch it, as uv is."""
+PALMATE_PAIRS: Final = 3
+"""Chosen: the lowest pairs of lateral veins, which in a palmate blade are main veins as its midrib is."""
 VEIN_ARC: Final = 0.7
 """Bend of a lateral vein towards the tip, at the margin of the widest part, as a slope."""
 
@@ -64,10 +66,16 @@ class BladeGrid:
     y_mm: Float32Array  # `(h, 1)` from the base
     half_mm: Float32Array  # `(h, 1)` half-width of the blade
     edge_mm: Float32Array  # `(h, w)` distance from the margin, negative outside
+    palmate: bool = False  # whether the lowest lateral veins are main veins
 
     @classmethod
     def build(
-        cls, size_mm: tuple[float, float], widest: float = 0.37, base: float = 0.85, pixels: int = PIXELS
+        cls,
+        size_mm: tuple[float, float],
+        widest: float = 0.37,
+        base: float = 0.85,
+        pixels: int = PIXELS,
+        palmate: bool = False,
     ) -> BladeGrid:
         """Lay out the pixels of a blade of this width and length, and its mean outline.
 
@@ -76,6 +84,7 @@ class BladeGrid:
             widest: position where it is widest, as a fraction of the length.
             base: power of the outline at the base, see `outline_reach`.
             pixels: of the longer side.
+            palmate: whether the lowest lateral veins are main veins.
         """
         pixel_mm = max(size_mm) / pixels
         columns, rows = (max(round(extent / pixel_mm), 2) for extent in size_mm)
@@ -86,7 +95,8 @@ class BladeGrid:
         steepness = np.hypot(1.0, np.gradient(half, along * size_mm[1]))
         edge = (half[:, None] - np.abs(x)) / steepness[:, None]
         arrays = (x, along[:, None] * size_mm[1], half[:, None], edge)
-        return cls(size_mm, pixel_mm, *(array.astype(np.float32) for array in arrays))
+        x_mm, y_mm, half_mm, edge_mm = (array.astype(np.float32) for array in arrays)
+        return cls(size_mm, pixel_mm, x_mm, y_mm, half_mm, edge_mm, palmate)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -135,6 +145,7 @@ class Venation:
 
     midrib_mm: Float32Array  # distance from the midrib
     lateral_mm: Float32Array  # distance from the nearest lateral vein or loop
+    main_mm: Float32Array | None  # distance from the main veins beside the midrib; None if there are none
     out: Float32Array  # distance from the midrib as a fraction of the half-width there, at most 1
     bulge_mm: Float32Array  # distance from the centre of the nearest bulging cell
     islet_mm: Float32Array  # distance from the walls of these cells
@@ -189,6 +200,9 @@ def grow_veins(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Ve
     beside_mm = np.minimum(part, 1 - part) / per_mm
     beside_mm[(number < -0.5) | (number > VEIN_PAIRS - 0.5)] = length
 
+    # Main veins run on to the margin.
+    main_mm = np.where(np.round(number) < PALMATE_PAIRS, beside_mm, length) if grid.palmate else None
+
     # Distance from the loops, whose distance from the midrib is a function of the vein's number.
     half_mm = np.maximum(grid.half_mm, np.float32(1.0))
     out = midrib_mm / half_mm
@@ -204,7 +218,14 @@ def grow_veins(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Ve
     bulge_mm, islet_mm = np.moveaxis(tile.islets.crop(rng, grid.shape), -1, 0)
     mesh_mm, veinlet_mm = (part.crop(rng, grid.shape)[..., 1] for part in (tile.meshes, tile.veinlets))
     return Venation(
-        midrib_mm, lateral_mm, np.minimum(out, 1), bulge_mm.copy(), islet_mm.copy(), mesh_mm, veinlet_mm
+        midrib_mm,
+        lateral_mm,
+        main_mm,
+        np.minimum(out, 1),
+        bulge_mm.copy(),
+        islet_mm.copy(),
+        mesh_mm,
+        veinlet_mm,
     )
 
 

@@ -31,10 +31,11 @@ _OTHER_KINDS: Final = ("panoptic_", "captions_", "person_keypoints_", "stuff_")
 """First words of the names of other annotation files beside the instances."""
 
 _PICTURE_FOLDERS: Final = ("", "images", "data")
+_CROPS: Final = ("tomato", "cucumber", "eggplant")
 _RIPENESSES: Final = tuple(
-    f"{state} {fruit}" for fruit in ("pepper", "tomato", "fruit") for state in ("ripe", "unripe")
+    f"{state} {fruit}" for fruit in ("pepper", *_CROPS, "fruit") for state in ("ripe", "unripe")
 )
-_FRUIT_NAMES: Final = ("fruit", "sweet pepper", "bell pepper", "tomato", *_RIPENESSES)
+_FRUIT_NAMES: Final = ("fruit", "sweet pepper", "bell pepper", *_CROPS, *_RIPENESSES)
 _CATEGORIES: Final[Mapping[str, int]] = {
     **{organ.name.lower(): int(organ) for organ in OrganClass},
     **dict.fromkeys(_FRUIT_NAMES, int(OrganClass.PEPPER)),

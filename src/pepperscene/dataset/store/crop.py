@@ -13,7 +13,12 @@ from pepperscene.shipped import is_file, shipped_folder
 
 _SHIPPED_NAME: Final = re.compile(r"[A-Za-z0-9_-]+")
 _COMMON_NAMES: Final = {"Capsicum annuum": "sweet pepper"}
-_FRUIT_NAMES: Final = {"Capsicum annuum": "pepper", "Solanum lycopersicum": "tomato"}
+_FRUIT_NAMES: Final = {
+    "Capsicum annuum": "pepper",
+    "Cucumis sativus": "cucumber",
+    "Solanum lycopersicum": "tomato",
+    "Solanum melongena": "eggplant",
+}
 """Names of the class `pepper`, fruit, by species; all species of the shipped cultivars."""
 
 
@@ -39,7 +44,7 @@ def crop_name(info: Mapping[str, Any]) -> str:
 
 
 def fruit_name(info: Mapping[str, Any]) -> str:
-    """The name of the fruit of a data set: "pepper" or "tomato"; "fruit" of other, unknown or several crops.
+    """The name of the fruit of a data set, such as "tomato"; "fruit" of other, unknown or several crops.
 
     Args:
         info: the content of `dataset.json`, of valid types.

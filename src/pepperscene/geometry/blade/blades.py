@@ -18,8 +18,9 @@ from pepperscene.geometry.batch import (
     vertex_normals,
 )
 from pepperscene.geometry.blade.damage import Surfaces, damage_margins
-from pepperscene.geometry.blade.grid import blade_grid
+from pepperscene.geometry.blade.grid import Grid, blade_grid
 from pepperscene.geometry.blade.outline import FlatBlades, build_outlines, flat_blades
+from pepperscene.geometry.blade.palmate import spread_rows
 from pepperscene.geometry.blade.relief import (
     bulge_shrinkage,
     grid_noise,
@@ -49,15 +50,16 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
     (count along a margin), blister_m (bulge between veins), vein_m (depth of the sunken veins), asymmetry
     (fraction by which the right half is wider than the mean half, and the left narrower), widest (fraction of
     the length), base (power of the outline there), lobes (along each margin), lobe_depth (fraction of the
-    half-width), those of `damage_margins`, ageing (a blade that dries rolls up, and its rim is crumpled),
-    state_mean, state_spread, seed. All but the sizes are optional. Measures that would tear a blade are
-    limited: fold 80 degrees, curl 150, roll 240, bulges 1/10 of the width, waves 1/8.
+    half-width), those of `spread_rows` and of `damage_margins`, ageing (a blade that dries rolls up, and its
+    rim is crumpled), state_mean, state_spread, seed. All but the sizes are optional. Measures that would tear
+    a blade are limited: fold 80 degrees, curl 150, roll 240, bulges 1/10 of the width, waves 1/8.
     """
     read_positive(organs, "length_m")  # the curve has this length; here it is only checked
     width, seed = read_positive(organs, "width_m"), read_measure(organs, "seed", 0.0)
     outline = build_outlines(organs, seed)
-    grid = blade_grid(detail, float(read_measure(organs, "lobes", 0.0).max()))
-    flat = flat_blades(outline, grid, seed)
+    grid = _grid(organs, detail)
+    layout = flat_blades(outline, grid, seed)
+    flat = spread_rows(organs, layout)
     waviness = _waviness(organs, width)
     right, up = _cross_sections(organs, flat, waviness)
     spine = spines(
@@ -67,16 +69,25 @@ def mesh_blades(organs: Sequence[Organ], detail: float) -> MeshBatch:
         read_measure(organs, "twist_rad", 0.0),
     )
     spine = _bend_tips(spine, waviness, seed)
-    v = grid.pack(flat.along, flat.origin, flat.extra_along, (0.0, 1.0))
-    vertices = spine.place(v * spine.lengths[:, None], right, up)
-    # The vein pattern of the material is as wide as the wider half, on either side.
-    out = grid.pack(_SIDES * flat.out, 0.0, _SIDES[..., 0] * flat.extra_edge)
+    along = grid.pack(flat.along, flat.midrib, flat.extra_along, (0.0, 1.0))
+    vertices = spine.place(along * spine.lengths[:, None], right, up)
+    # The vein pattern of the material is as wide as the wider half, on either side; its veins are pinnate.
+    out = grid.pack(_SIDES * layout.out, 0.0, _SIDES[..., 0] * layout.extra_edge)
     u = 0.5 + 0.5 * out / outline.half_extent[:, None]
+    v = grid.pack(layout.along, layout.midrib, layout.extra_along, (0.0, 1.0))
     uv = np.clip(np.stack([u, v], axis=-1), 0.0, 1.0)
     state = _state(organs, flat)
     extents = np.stack([2.0 * outline.half_extent, spine.lengths], axis=1)
     damage_margins(organs, Surfaces(vertices, uv, state, extents), grid)
     return MeshBatch(vertices, vertex_normals(vertices, grid.faces), uv, state, grid.faces)
+
+
+def _grid(organs: Sequence[Organ], detail: float) -> Grid:
+    """The grid that all blades share, fine enough for the lobes and teeth of each."""
+    palmate = read_measure(organs, "palmate", 0.0) > 0.0
+    lobes = np.where(palmate, 0.0, read_measure(organs, "lobes", 0.0)).max()
+    teeth = float(read_measure(organs, "teeth", 0.0)[palmate].max()) if palmate.any() else None
+    return blade_grid(detail, float(lobes), teeth)
 
 
 def _waviness(organs: Sequence[Organ], width: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil
 from typing import Final
 
 import numpy as np
@@ -60,6 +61,11 @@ _SIDE: Final = 6  # columns in each half, the fewest that show how tertiary vein
 _MARGIN: Final = 48  # chosen: pieces of an entire margin at any detail from 0.5 to 2
 _PER_LOBE: Final = 10  # chosen: rows to a lobe, likewise
 _LOBED_SIDE: Final = 4  # chosen: columns in each half of a lobed blade
+_PALMATE_SIDE: Final = 8  # chosen: of a palmate one, which is large
+_PALMATE_LENGTH: Final = (-1.0, 0.0, 1.0, 2.0), (0.0, 0.28, 0.42, 0.55)
+"""Fractions of the margin of a palmate blade below the points of these numbers: chosen, as of cucumber."""
+_PER_TOOTH: Final = 5  # chosen: pieces of a margin to a tooth
+_TEETH_STEP: Final = 8  # chosen: numbers of teeth between which blades share a grid, as it is kept
 
 FAN_POWER: Final = 1.5
 """Chosen: row i of k below the first vein meets the margin at (i/k)^1.5 of the way, evenly along a round
@@ -139,21 +145,32 @@ class Grid:
         return values
 
 
-def blade_grid(detail: float, lobes: float) -> Grid:
-    """Build the grid for a fineness and a number of lobes along each margin."""
+def blade_grid(detail: float, lobes: float, teeth: float | None = None) -> Grid:
+    """Build the grid for a fineness and a number of lobes along each margin.
+
+    Args:
+        detail: fineness, 1 as designed.
+        lobes: along a margin, those of palmate blades left out.
+        teeth: along a margin of a palmate blade; None if there is no palmate blade.
+    """
     # Margins stay fine where the inside is coarse, so that the outline is the same.
     margin_detail = min(1.0, 2.0 * detail)
     fan, per_vein = subdivisions(_FAN, detail, 3), subdivisions(_PER_VEIN, detail, 2 if detail >= 0.2 else 1)
+    side, pieces = _SIDE, _MARGIN
+    if teeth is not None:
+        side, pieces = _PALMATE_SIDE, max(_MARGIN, _PER_TOOTH * _TEETH_STEP * ceil(teeth / _TEETH_STEP))
     if lobes <= 0.0:
-        return _grid(fan, per_vein, subdivisions(_SIDE, detail, 3), subdivisions(_MARGIN, margin_detail, 16))
+        side, pieces = subdivisions(side, detail, 3), subdivisions(pieces, margin_detail, 16)
+        return _grid(fan, per_vein, side, pieces, palmate=teeth is not None)
     # Every point of a lobe has its row, because the inside must follow it.
     rows = _PER_LOBE * lobes * max(min(1.0, 0.3 + 1.5 * detail), detail)
     fan, per_vein = max(fan, round(_BELOW * rows)), max(per_vein, round((1.0 - _BELOW) * rows / TIP_NUMBER))
-    return _grid(fan, per_vein, subdivisions(_LOBED_SIDE, detail, 3), 1)
+    side, pieces = (_LOBED_SIDE, 1) if teeth is None else (side, subdivisions(pieces, margin_detail, 16))
+    return _grid(fan, per_vein, subdivisions(side, detail, 3), pieces, palmate=teeth is not None)
 
 
 @lru_cache(maxsize=16)
-def _grid(fan: int, per_vein: int, side: int, pieces: int) -> Grid:
+def _grid(fan: int, per_vein: int, side: int, pieces: int, *, palmate: bool) -> Grid:
     """A grid of `2 * side + 1` columns; margins have about `pieces` pieces, at least one per row."""
     # Rows are closer together near the veins, where the blade is creased.
     even = np.arange(per_vein * VEIN_PAIRS + 1) / per_vein
@@ -164,7 +181,7 @@ def _grid(fan: int, per_vein: int, side: int, pieces: int) -> Grid:
     across = np.concatenate([-half[::-1], [0.0], half])
     # Extra points cut the margin between neighbouring rows into pieces of about equal lengths.
     knots = np.concatenate([[-1.0], number, [TIP_NUMBER]])
-    cuts = np.maximum((np.diff(_margin_length(knots)) * pieces).astype(int), 1)
+    cuts = np.maximum((np.diff(_margin_length(knots, palmate)) * pieces).astype(int), 1)
     parts = [np.arange(cut) / cut for cut in cuts]
     at = [low + (high - low) * part for low, high, part in zip(knots[:-1], knots[1:], parts, strict=True)]
     margin = np.concatenate([*at, [TIP_NUMBER]])
@@ -175,8 +192,11 @@ def _grid(fan: int, per_vein: int, side: int, pieces: int) -> Grid:
     return Grid(number, across, side, margin[1:-1], rows_at - 1, extra - 1, faces)
 
 
-def _margin_length(number: FloatArray) -> FloatArray:
+def _margin_length(number: FloatArray, palmate: bool) -> FloatArray:
     """Approximate fraction of a margin below its point of this number."""
+    if palmate:
+        numbers, lengths = _PALMATE_LENGTH
+        return np.interp(number, (*numbers, TIP_NUMBER), (*lengths, 1.0))
     first = vein_origin(np.zeros(1))
     above = (vein_origin(np.maximum(number, 0.0)) - first) / (1.0 - first)
     return _BELOW * (np.minimum(number, 0.0) + 1.0) + (1.0 - _BELOW) * above

@@ -55,7 +55,9 @@ def build_outlines(organs: Sequence[Organ], seed: FloatArray) -> Outlines:
     uneven = np.clip(read_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
     half = 0.5 * width[:, None] * (1.0 + uneven * np.array([-1.0, 1.0]))
     count = np.clip(read_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
-    depth = np.clip(read_measure(organs, "lobe_depth", 0.0), 0.0, 0.6)[:, None, None]
+    # The lobes of palmate blades are made by `spread_rows`.
+    pinnate = read_measure(organs, "palmate", 0.0) == 0.0
+    depth = np.where(pinnate, np.clip(read_measure(organs, "lobe_depth", 0.0), 0.0, 0.6), 0.0)[:, None, None]
     numbers = 4 + 2 * int(np.ceil(count.max())) + 3
     lobes = hash_uniform(seed, 251, 2 * numbers).reshape(len(organs), 2, numbers)
     # The stated width is that over the lobes; an entire margin reaches 1 where it is widest.
@@ -103,7 +105,8 @@ class FlatBlades:
     margin: FloatArray  # `(n, 2, m)` along, of the margin's points as if there were no lobes
     reach: FloatArray  # `(n, 2, m)` metres from the midrib to the margin's points
     rim: FloatArray  # `(n, 2, r)` the values of `margin` at the ends of the rows
-    origin: FloatArray  # `(r,)` along, where rows leave the midrib
+    origin: FloatArray  # `(r,)` along, where rows leave the midrib of a blade with pinnate veins
+    midrib: FloatArray  # `(n, r)` along, where they leave that of this blade
     edge: FloatArray  # `(n, 2, r)` metres from the midrib to the ends of the rows
     column: FloatArray  # `(s,)` columns of a half, from 0 at the midrib to 1 at the end of the row
     out: FloatArray  # `(n, 2, r, s)` metres from the midrib
@@ -153,6 +156,7 @@ def flat_blades(outline: Outlines, grid: Grid, seed: FloatArray) -> FlatBlades:
         reach=edge,
         rim=along[..., rows],
         origin=origin[rows],
+        midrib=np.broadcast_to(origin[rows], (n, len(rows))),
         edge=edge[..., rows],
         column=column,
         out=out,

@@ -75,8 +75,9 @@ def build_pericarps(organs: Sequence[Organ], detail: float) -> Pericarps:
 
     Measures: length_m (along the axis) and diameter_m (greatest, of the whole body), lobes (count),
     lobe_depth (1 is typical, 0 has no furrows and is round instead of blocky), shoulder (0 has no stalk
-    cavity, 1 a deep one), taper (diameter near the blossom end over the greatest), point (0 blocky, 1 drawn
-    out to a point), bend_rad (of the axis, from stalk to tip), seed.
+    cavity, 1 a deep one), taper (diameter near the blossom end over the greatest), neck (diameter beside the
+    stalk over the greatest), neck_length (of the part that narrows to it, over the length), point (0 blocky,
+    1 drawn out to a point), bend_rad (of the axis, from stalk to tip), seed.
     """
     n, seed = len(organs), read_measure(organs, "seed", 0.0)
     length, diameter = read_positive(organs, "length_m"), read_positive(organs, "diameter_m")
@@ -204,7 +205,12 @@ def _mean_profile(
     size = weight[row, index + 1] - weight[row, index]
     part = (at - weight[row, index]) / np.where(size > 0.0, size, 1.0)
     curves = wall, level, top, low, distance / distance[:, -1:]
-    return [*(y[row, index] + part * (y[row, index + 1] - y[row, index]) for y in curves), level[:, 0]]
+    wall, *others = (y[row, index] + part * (y[row, index + 1] - y[row, index]) for y in curves)
+    # A neck narrows smoothly towards the stalk.
+    neck = 1.0 - np.clip(read_measure(organs, "neck", 1.0), 0.2, 1.0)[:, None]
+    reach = 2.0 * np.clip(read_measure(organs, "neck_length", 0.25), 0.02, 1.0)[:, None]
+    from_stalk = np.clip((others[0] - level[:, :1]) / reach, 0.0, 1.0)
+    return [wall * (1.0 - neck * (1.0 - from_stalk) ** 2), *others, level[:, 0]]
 
 
 def _bowl(width: FloatArray, rim: float) -> FloatArray:
