@@ -41,11 +41,12 @@ EXTENDED = re.compile(r'^extends = "(\w+)"$', re.MULTILINE)
 NEED_TORCH = {"api.md", "learn.md", "robot_data_set.md"}
 """Pages whose examples need torch, which cannot be installed everywhere."""
 SEARCHES = {
-    "cucumber": "how-to/own_crop", "field of view": "how-to/camera", "resolution": "how-to/camera", "RealSense": "how-to/camera",
+    "field of view": "how-to/camera", "resolution": "how-to/camera", "RealSense": "how-to/camera",
     "exposure": "how-to/camera", "motion blur": "how-to/motion", "bounding boxes": "how-to/read",
     "resume": "how-to/build", "YOLO": "how-to/export", "COCO": "how-to/export", "depth": "how-to/export",
     "nerfstudio": "how-to/export", "FiftyOne": "how-to/troubleshooting", "Slurm": "how-to/cluster",
     "own photos": "how-to/read", "torch": "how-to/read", "domain randomisation": "how-to/vary",
+    "cucumber": "how-to/own_crop",
 }  # fmt: skip
 """What readers search for, and a page with a heading about it."""
 RECIPES = {recipe.stem for recipe in (ROOT / "recipes").glob("*.toml")}
