@@ -93,8 +93,22 @@ def crops() -> Picture:
     )
 
 
+def crop_flash() -> Picture:
+    """Cucumbers by flash at night: the first recipe of the page about other crops."""
+    changes = {
+        "cultivar": "cucumber",
+        "row.spacing_mm": 400,
+        "row.plants_front": 5,
+        "row.plants_back": 4,
+        "views.height_mm": [900, 1200],
+        "views.pitch_deg": 0,
+    }
+    renderer = FrameRenderer(load_recipe("demo", changes))
+    return renderer.render(renderer.recipe.plan.frame(FLASH_FRAME), ("colour",)).colour
+
+
 def crop_row() -> Picture:
-    """A row of cucumbers in daylight: the recipe of the page about other crops."""
+    """A row of cucumbers in daylight: the second recipe of that page."""
     changes = {
         "cultivar": "cucumber",
         "views.distance_mm": 900,
@@ -138,10 +152,12 @@ def stacked(rows: list[Picture]) -> Picture:
     return np.vstack(padded_rows)[GAP:]
 
 
+FLASH_FRAME: Final = 6137
 ROW_FRAME: Final = 4
 
 FIGURES: Final[dict[str, Callable[[], Picture]]] = {
     "own_crop.jpg": crops,
+    "own_crop_flash.jpg": crop_flash,
     "own_crop_row.jpg": crop_row,
     "plant_photographs.jpg": photographs,
     "plant_cultivars.png": cultivars,

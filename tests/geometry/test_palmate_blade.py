@@ -129,7 +129,12 @@ def test_no_triangle_is_inverted(detail):
     assert triangle_areas(points, batch.faces).min() > 0.0
 
 
-@pytest.mark.parametrize("measures", [{}, {"sinus": 0.0}, {"lobes": 0.0}, {"lobes": 6.0, "lobe_depth": 1.0}])
+DAMAGED = {"bites": 4.0, "bite_width_m": 0.012, "tears": 2.0, "ageing": 0.6, "rolled_rad": 1.0}
+
+
+@pytest.mark.parametrize(
+    "measures", [{}, {"sinus": 0.0}, {"lobes": 0.0}, {"lobes": 6.0, "lobe_depth": 1.0}, DAMAGED]
+)
 def test_any_palmate_blade_is_one_valid_sheet(measures):
     bent = {"fold_rad": 0.3, "curl_rad": -0.6, "blister_m": 0.004, "vein_m": 0.001, "margin_wave_m": 0.006}
     one = palmate(**TEETH, **bent, **measures)
