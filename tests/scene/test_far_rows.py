@@ -70,6 +70,17 @@ def test_each_organ_keeps_its_extent(plant, coarse):
             assert np.abs(coarse_corner - corner).max() < 0.3 * size, instance
 
 
+def test_scanned_colours_follow_their_vertices(plant):
+    # The colour of each vertex is its position.
+    coarse = coarsen_plant(replace(plant, colour=plant.vertices))
+    np.testing.assert_array_equal(coarse.colour, coarse.vertices)
+    painted = ball(0.05)
+    painted = replace(painted, colour=np.repeat(painted.vertices[:, 2:], 3, axis=1))
+    upright = replace(GREENHOUSE, row_lean_rad=0.0)
+    for mesh in rows([painted], greenhouse=upright):
+        np.testing.assert_allclose(mesh.colour[:, 0], mesh.vertices[:, 2], atol=1e-6)
+
+
 def test_coarsening_raises_if_no_organ_is_left():
     wire = rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), "twine", OrganClass.WIRE)
     with pytest.raises(ValueError, match="no organ"):
