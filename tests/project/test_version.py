@@ -23,6 +23,7 @@ RECORDS = {
     "dataset/execution/dask_worker.py",  # workers have the version of the build
     "dataset/execution/job.py",  # dataset.json
     "dataset/export/fruit_models.py",  # plants are grown again only by the version that grew them
+    "dataset/report/recorded_scene.py",  # as fruit_models
     "learning/experiments/run.py",
     "learning/models/trained_model.py",
     "learning/training/run.py",
