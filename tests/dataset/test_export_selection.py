@@ -12,6 +12,8 @@ from painted_set import SIZE, make_painted_set
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import export_dataset, read_image
+from pepperscene.dataset.export.run import _fruit_without_label
+from pepperscene.dataset.export.selection import Selection, parse_categories
 from pepperscene.dataset.store.crop import crop_name
 from pepperscene.errors import ArgumentError, InputError
 
@@ -117,6 +119,24 @@ def test_fruit_of_unknown_ripeness_is_a_crowd_of_both_categories(painted, tmp_pa
         small = [v for v, one in organs(painted, index, OrganClass.PEPPER).items() if one["pixels"] < 400]
         np.testing.assert_array_equal(masks[0] > 0, np.isin(painted.image(index, "instance"), small))
     assert len({one["id"] for one in truth.dataset["annotations"]}) == len(truth.dataset["annotations"])
+
+
+@pytest.mark.parametrize(
+    ("format_name", "classes", "greenhouse", "is_warned"),
+    [
+        ("yolo_detect", "pepper.ripe", {"far_rows": 2, "far_rows_as": "labels"}, True),
+        ("yolo", "pepper.ripe,leaf", {"far_rows": 1, "far_rows_as": "labels"}, True),
+        ("yolo_detect", "pepper", {"far_rows": 2, "far_rows_as": "labels"}, False),
+        ("yolo_detect", "pepper.ripe", {"far_rows": 2, "far_rows_as": "background"}, False),
+        ("yolo_detect", "pepper.ripe", {"far_rows": 0, "far_rows_as": "labels"}, False),
+        ("yolo_detect", "pepper.ripe", None, False),
+        ("coco", "pepper.ripe", {"far_rows": 2, "far_rows_as": "labels"}, False),
+    ],
+)
+def test_yolo_warns_of_far_fruit_of_unknown_ripeness(format_name, classes, greenhouse, is_warned):
+    info = {"recipe": {"greenhouse": greenhouse}}
+    warning = _fruit_without_label(format_name, Selection(parse_categories(classes)), info)
+    assert ("ripeness is not known" in warning) == is_warned
 
 
 @pytest.mark.parametrize(

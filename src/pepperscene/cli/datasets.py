@@ -167,8 +167,8 @@ def export(
         )
     parts = ", ".join(f"{count} {name}" for name, count in result.splits.items())
     typer.echo(f"{result.frames} frame{'' if result.frames == 1 else 's'} as {form} ({parts}): {out}")
-    if result.warning:
-        echo_progress(f"warning: {result.warning}")
+    for warning in result.warnings:
+        echo_progress(f"warning: {warning}")
 
 
 @app.command()

@@ -22,6 +22,7 @@ from pepperscene.dataset.store.crop import fruit_name
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.folder import LITTER
+from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 
@@ -34,14 +35,14 @@ class ExportResult:
         frames: number of frames in it.
         files: number of files in it.
         splits: number of frames of each split.
-        warning: which splits show the same plants, and what separates them; "" if none do.
+        warnings: which splits show the same plants, and what separates them; which fruit has no label.
     """
 
     folder: Path
     frames: int
     files: int
     splits: Mapping[str, int]
-    warning: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -161,8 +162,24 @@ def export_dataset(
         getattr(module, f"write_{format_name}")(job, temporary)
         files = sum(path.is_file() for path in temporary.rglob("*"))
     counts = {name: len(members) for name, members in job.splits.items()}
-    warning = shared_plants(job.splits, dataset.info["recipe"]["plan"])
-    return ExportResult(Path(out), len(job.split_of), files, counts, warning)
+    shared = shared_plants(job.splits, dataset.info["recipe"]["plan"])
+    unlabelled = _fruit_without_label(format_name, selection, dataset.info)
+    warnings = tuple(text for text in (shared, unlabelled) if text)
+    return ExportResult(Path(out), len(job.split_of), files, counts, warnings)
+
+
+def _fruit_without_label(format_name: str, selection: Selection, info: Mapping[str, Any]) -> str:
+    """Warn of fruit in the images that a format leaves out, because its ripeness is not known; "" of none."""
+    has_ignored_areas = not format_name.startswith("yolo")
+    is_labelled = "labels" in recorded_values(info, "greenhouse.far_rows_as")
+    if has_ignored_areas or not selection.is_divided or not is_labelled:
+        return ""
+    if not any(recorded_values(info, "greenhouse.far_rows")):
+        return ""
+    return (
+        "fruit of far rows has no label, because its ripeness is not known: a detector may learn that it is "
+        "no fruit. Export all fruit as one class (fruit=pepper), or build with greenhouse.far_rows = 0"
+    )
 
 
 def _check_options(options: Mapping[str, Any], format_name: str) -> None:
