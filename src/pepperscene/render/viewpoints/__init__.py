@@ -1,0 +1,1 @@
+"""Visibility of fruit from many camera poses: sampled surfaces and batched shadow rays."""
