@@ -50,8 +50,8 @@ class FruitVisibility:
 
     - `visible_fraction`: of the pixels that the fruit would have in this image if nothing else were there. It
       is that of the output `harvest`.
-    - `facing_fraction`: of the area of its surface that faces the camera, whose normal is less than 90 degrees
-      from the direction to the camera. What is outside the image counts as not seen.
+    - `facing_fraction`: of the area of its surface that faces the camera, whose normal is less than 90
+      degrees from the direction to the camera. What is outside the image counts as not seen.
     - `surface_fraction`: of the area of its whole surface. A free ball of radius R at a distance d from its
       centre has (1 - R / d) / 2.
 
@@ -66,8 +66,8 @@ class FruitVisibility:
         visible_pixels: `(r,)` area of its visible part in the image, pixels.
         peduncle_visible_fraction: `(r,)` as `visible_fraction`, of its peduncle; nan without a peduncle in
             the image.
-        cut_visible_fraction: `(r,)` as `visible_fraction`, of the surface of the peduncle around its cut point,
-            up to a radius of the peduncle to both sides; nan without one in the image.
+        cut_visible_fraction: `(r,)` as `visible_fraction`, of the surface of the peduncle around its cut
+            point, up to a radius of the peduncle to both sides; nan without one in the image.
         seen: `(r, samples / 8)` uint8, bits of the points of each fruit's surface that the camera sees
             (`numpy.unpackbits` order). Each point stands for an equal part of the fruit's area.
         occluders: of the fruit; None if they were not wanted.
@@ -96,7 +96,7 @@ class FruitVisibility:
         return 8 * self.seen.shape[1]
 
     def best_poses(self) -> IndexArray:
-        """`(f,)` the pose that sees most of each fruit's surface, the first of equal ones; -1 if none does."""
+        """`(f,)` the pose that sees most of each fruit's surface, the first of equals; -1 if none does."""
         best = np.full(len(self.fruit), -1)
         # The last assignment of an index counts: the largest fraction, and the first pose of equal ones.
         order = np.lexsort([-self.pose_index, self.surface_fraction])

@@ -56,7 +56,7 @@ def greedy_views(
     """
     search = _Search(visibility, fruit)
     if count < 1:
-        raise ArgumentError("count", "must be at least 1", value=count)
+        raise ArgumentError("count", f"must be at least 1, not {count}")
     covered = search.covered_by(taken)
     poses, points = [], []
     for _ in range(count):
@@ -86,10 +86,12 @@ def exact_views(visibility: FruitVisibility, count: int, *, fruit: ArrayLike | N
     search = _Search(visibility, fruit)
     candidates = len(visibility.poses)
     if not 1 <= count <= candidates:
-        raise ArgumentError("count", f"must be from 1 to the {candidates} poses", value=count)
+        raise ArgumentError("count", f"must be from 1 to the {candidates} poses, not {count}")
     if math.comb(candidates, count) > _MOST_SETS:
-        problem = f"of {candidates} poses gives more than {_MOST_SETS:,} sets of views; use greedy_views"
-        raise ArgumentError("count", problem, value=count)
+        problem = (
+            f"{count} of {candidates} poses gives more than {_MOST_SETS:,} sets of views; use greedy_views"
+        )
+        raise ArgumentError("count", problem)
     # Greedy views first, so that most sets are excluded at once.
     first = [int(pose) for pose in greedy_views(visibility, count, fruit=fruit).poses]
     first += [pose for pose in range(candidates) if pose not in first][: count - len(first)]
@@ -140,7 +142,7 @@ class _Search:
         count = len(visibility.fruit)
         chosen = np.unique(np.arange(count) if fruit is None else np.asarray(fruit, dtype=np.intp))
         if not len(chosen) or chosen[0] < 0 or chosen[-1] >= count:
-            raise ArgumentError("fruit", f"must be numbers of the {count} fruit", value=chosen.tolist())
+            raise ArgumentError("fruit", f"must be numbers of the {count} fruit, not {chosen.tolist()}")
         number = np.full(count, -1)
         number[chosen] = np.arange(len(chosen))
         rows = number[visibility.fruit_index] >= 0
@@ -161,7 +163,7 @@ class _Search:
     def joined(self, covered: BitArray, pose: int) -> BitArray:
         """The covered points and those of a further view."""
         if not 0 <= pose < self._poses:
-            raise ArgumentError("poses", f"must be numbers of the {self._poses} poses", value=pose)
+            raise ArgumentError("poses", f"must be numbers of the {self._poses} poses, not {pose}")
         rows = slice(self._begins[pose], self._begins[pose + 1])
         joined = covered.copy()
         joined[self._fruit[rows]] |= self._seen[rows]

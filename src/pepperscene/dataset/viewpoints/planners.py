@@ -69,9 +69,9 @@ def compare_planners(
     poses = np.asarray(candidates, dtype=float).reshape(-1, 4, 4)
     count = len(of_arc)
     if not 1 <= count <= len(poses):
-        raise ArgumentError("arc", f"must have from 1 to {len(poses)} poses, the candidates", value=count)
+        raise ArgumentError("arc", f"must have from 1 to {len(poses)} poses, not {count}")
     if draws < 1:
-        raise ArgumentError("draws", "must be at least 1", value=draws)
+        raise ArgumentError("draws", f"must be at least 1, not {draws}")
     visibility = observer.observe(camera, poses)
     arc_visibility = observer.observe(camera, of_arc)
     views = greedy_views(visibility, count, fruit=fruit)

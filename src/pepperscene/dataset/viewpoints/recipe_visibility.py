@@ -15,8 +15,8 @@ from pepperscene.dataset.preview.places import SceneKeeper
 from pepperscene.dataset.recipe.plan import FrameSpec, Stream, random_generator
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
-from pepperscene.dataset.views.free_space import FreeSpace
 from pepperscene.dataset.viewpoints.workspace import ReachTest, Workspace, lattice_poses, random_poses
+from pepperscene.dataset.views.free_space import FreeSpace
 from pepperscene.errors import ArgumentError
 from pepperscene.truth.view_planning import ViewSequence, greedy_views
 
@@ -66,7 +66,7 @@ class ViewpointOptions:
         if names and names[0] != "poses" and self.workspace is None:
             raise ArgumentError(names[0], "needs a workspace: a box or a sphere")
         if self.views < 0:
-            raise ArgumentError("views", "must be at least 0", value=self.views)
+            raise ArgumentError("views", f"must be at least 0, not {self.views}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class SceneVisibility:
         centres_m: `(f, 3)` centre of each fruit.
         frames: index of the frame of each pose; None for other poses.
         names: of the poses in their file, or None.
-        reachable: `(n,)` whether a pose is in the workspace and away from surfaces; None if that was not asked.
+        reachable: `(n,)` whether a pose is in the workspace and away from surfaces; None without a workspace.
         best: `(f,)` the reachable pose that sees most of each fruit, -1 for none.
         views: the next best reachable views; None if none were wanted.
     """
@@ -98,7 +98,7 @@ class SceneVisibility:
 
 def recipe_visibility(
     recipe: ResolvedRecipe,
-    options: ViewpointOptions = ViewpointOptions(),  # noqa: B008 - frozen
+    options: ViewpointOptions,
     frames: str | Sequence[int] | None = None,
     *,
     on_stage: Callable[[str], None] | None = None,
@@ -109,8 +109,8 @@ def recipe_visibility(
     Args:
         recipe: with its files.
         options: poses and what to compute.
-        frames: "A:B", indices, or None for those that the recipe selects. With poses from elsewhere, the scene
-            is that of the first frame.
+        frames: "A:B", indices, or None for those that the recipe selects. With poses from elsewhere, the
+            scene is that of the first frame.
         on_stage: called with the name of each stage that takes long.
         on_progress: called with the number of poses of a scene that are done, and of all.
 

@@ -18,8 +18,8 @@ FloatArray = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 _TRIES: Final = 200
-"""Chosen: positions that are drawn for each wanted one. In a ball half of them are inside, and in dense crop one
-in ten is free."""
+"""Chosen: positions that are drawn for each wanted one. In a ball half of them are inside, and in dense crop
+one in ten is free."""
 _LEVEL: Final = 1e-6  # metres beside the target's vertical from which a camera can look at it
 
 
@@ -51,14 +51,16 @@ class BoxWorkspace(Workspace):
         if not (
             np.isfinite([self.low_m, self.high_m]).all() and (self.bounds_m[0] <= self.bounds_m[1]).all()
         ):
-            problem = "must have finite limits, the lower one first"
-            raise ArgumentError("box", problem, value=[*self.low_m, *self.high_m])
+            limits = f"from {list(self.low_m)} to {list(self.high_m)} m"
+            raise ArgumentError("box", f"must have finite limits, the lower ones first, not {limits}")
 
     @property
     def bounds_m(self) -> FloatArray:
+        """`(2, 3)` its corners."""
         return np.array([self.low_m, self.high_m], dtype=float)
 
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:
+        """`(n,)` whether points are inside; its surface is a part of it."""
         low, high = self.bounds_m
         return np.asarray(((low <= points) & (points <= high)).all(axis=1))
 
@@ -76,15 +78,17 @@ class SphereWorkspace(Workspace):
 
     def __post_init__(self) -> None:
         if not (np.isfinite([*self.centre_m, self.radius_m]).all() and self.radius_m > 0.0):
-            problem = "must have a finite centre, and a radius above 0"
-            raise ArgumentError("sphere", problem, value=[*self.centre_m, self.radius_m])
+            values = f"{list(self.centre_m)} and {self.radius_m:g} m"
+            raise ArgumentError("sphere", f"must have a finite centre and a radius above 0, not {values}")
 
     @property
     def bounds_m(self) -> FloatArray:
+        """`(2, 3)` corners of the box around it."""
         centre = np.array(self.centre_m, dtype=float)
         return np.stack([centre - self.radius_m, centre + self.radius_m])
 
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:
+        """`(n,)` whether points are inside; its surface is a part of it."""
         return np.asarray(np.linalg.norm(points - np.array(self.centre_m), axis=1) <= self.radius_m)
 
 
@@ -102,9 +106,15 @@ class FunctionWorkspace(Workspace):
 
     @property
     def bounds_m(self) -> FloatArray:
+        """`(2, 3)` corners of its box."""
         return self.box.bounds_m
 
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:
+        """`(n,)` whether points are in the box and accepted.
+
+        Raises:
+            ArgumentError: the function does not return a Boolean for each point.
+        """
         inside = self.box.contains(points)
         reached: NDArray[Any] = np.asarray(self.function(points))
         if reached.shape != inside.shape or reached.dtype != np.bool_:
@@ -129,7 +139,9 @@ class ReachTest:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.clearance_m) and self.clearance_m >= 0.0):
-            raise ArgumentError("clearance", "must be a finite distance, at least 0", value=self.clearance_m)
+            raise ArgumentError(
+                "clearance", f"must be a finite distance, at least 0, not {self.clearance_m:g} m"
+            )
 
     def __call__(self, points: ArrayLike) -> NDArray[np.bool_]:
         """`(n,)` whether `(n, 3)` positions are reachable: also above the floor and not inside an organ."""
@@ -158,7 +170,7 @@ def random_poses(reach: ReachTest, targets: ArrayLike, count: int, rng: np.rando
         ArgumentError: the count is not allowed, or the reachable part of the workspace is too small.
     """
     if not 1 <= count <= MOST_POSES:
-        raise ArgumentError("random", f"must be from 1 to {MOST_POSES:,}", value=count)
+        raise ArgumentError("random", f"must be from 1 to {MOST_POSES:,}, not {count}")
     low, high = reach.workspace.bounds_m
     found: list[FloatArray] = []
     missing, tries = count, _TRIES * count
@@ -188,11 +200,11 @@ def lattice_poses(reach: ReachTest, targets: ArrayLike, spacing_m: float) -> Flo
         ArgumentError: the spacing is not above 0, or gives no pose or too many.
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
-        raise ArgumentError("spacing", "must be a finite distance above 0", value=spacing_m)
+        raise ArgumentError("spacing", f"must be a finite distance above 0, not {spacing_m:g} m")
     low, high = reach.workspace.bounds_m
     steps = np.floor((high - low) / spacing_m)
     if np.prod(steps + 1.0) > MOST_POSES:
-        raise ArgumentError("spacing", f"gives more than {MOST_POSES:,} positions", value=spacing_m)
+        raise ArgumentError("spacing", f"of {spacing_m:g} m gives more than {MOST_POSES:,} positions")
     axes = [
         0.5 * (a + b) + spacing_m * (np.arange(n + 1) - 0.5 * n)
         for a, b, n in zip(low, high, steps, strict=True)
@@ -200,7 +212,9 @@ def lattice_poses(reach: ReachTest, targets: ArrayLike, spacing_m: float) -> Flo
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = facing_poses(points[reach(points)], targets)
     if not len(poses):
-        raise ArgumentError("spacing", f"gives no reachable position among {len(points):,}", value=spacing_m)
+        raise ArgumentError(
+            "spacing", f"of {spacing_m:g} m gives no reachable position among {len(points):,}"
+        )
     return poses
 
 

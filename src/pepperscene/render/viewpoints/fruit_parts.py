@@ -25,6 +25,7 @@ PEDUNCLE_SAMPLES: Final = 128
 """Chosen: a peduncle has a tenth of the pixels of a fruit, and its fraction is known to about 0.03."""
 CUT_SAMPLES: Final = 64  # chosen: of a piece of the peduncle as long as it is thick
 _DENSE: Final = 4096  # chosen: points on a peduncle, of which a cut has more than `CUT_SAMPLES`
+_MORTON_BITS: Final = 10  # chosen: cells are a thousandth of an organ
 _CUT_REACH: Final = 3.0  # chosen: radii from the cut point within which the stalk's surface belongs to it
 _CELL: Final = 5.0
 """Side of the cell of an isolated part over its radius. A ray starts within three radii of the centre, so it
@@ -73,7 +74,6 @@ class FruitSamples:
         points, normals: `(f, b, 3)` world metres; unit normals.
         area_m2: `(f,)` of each fruit's surface.
         owner: `(f, b)` instance that each point belongs to.
-        centres, radii: `(f, 3)` and `(f,)` balls around the points of each fruit, metres.
     """
 
     fruit: NDArray[np.intp]
@@ -86,11 +86,13 @@ class FruitSamples:
 
     @cached_property
     def centres(self) -> FloatArray:
+        """`(f, 3)` centres of balls around each fruit with its peduncle and cut, world metres."""
         low, high = self._bounds
         return np.asarray(0.5 * (low + high))
 
     @cached_property
     def radii(self) -> FloatArray:
+        """`(f,)` radii of these balls, metres."""
         low, high = self._bounds
         return np.asarray(0.5 * np.linalg.norm(high - low, axis=1))
 
@@ -124,22 +126,23 @@ def sample_fruit(mesh: Mesh, fruit: Sequence[FruitPart], skin: int) -> FruitSamp
     owner = np.zeros((count, block), np.uint32)
     peduncles, area = np.full(count, -1), np.zeros(count)
     for number, part in enumerate(fruit):
-        samples = sample_surface(instance_triangles(mesh, part.instance), skin)
+        samples = sample_surface(_in_space_order(instance_triangles(mesh, part.instance)), skin)
         if samples is None:
             raise ArgumentError("scene", f"the fruit with the instance {part.instance} has no surface")
-        order = _neighbours_together(samples.points)
-        points[number, :skin], normals[number, :skin] = samples.points[order], samples.normals[order]
+        points[number, :skin], normals[number, :skin] = samples.points, samples.normals
         owner[number], area[number] = part.instance, samples.area_m2
         if part.stalk is None:
             continue
-        stalk = sample_surface(instance_triangles(mesh, part.stalk.instance), _DENSE)
-        if stalk is None:
+        triangles = _in_space_order(instance_triangles(mesh, part.stalk.instance))
+        stalk, dense = sample_surface(triangles, PEDUNCLE_SAMPLES), sample_surface(triangles, _DENSE)
+        if stalk is None or dense is None:
             continue
         owner[number, skin:] = peduncles[number] = part.stalk.instance
-        rows = np.linspace(0, _DENSE - 1, PEDUNCLE_SAMPLES).round().astype(np.intp)
-        for first, chosen in ((skin, rows), (skin + PEDUNCLE_SAMPLES, _around_cut(stalk, part.stalk))):
-            rows = slice(first, first + len(chosen))
-            points[number, rows], normals[number, rows] = stalk.points[chosen], stalk.normals[chosen]
+        around = _around_cut(dense, part.stalk)
+        whole, cut = slice(skin, skin + PEDUNCLE_SAMPLES), slice(skin + PEDUNCLE_SAMPLES, None)
+        points[number, whole], normals[number, whole] = stalk.points, stalk.normals
+        points[number, cut][: len(around)] = dense.points[around]
+        normals[number, cut][: len(around)] = dense.normals[around]
     instances = np.array([part.instance for part in fruit])
     return FruitSamples(instances, peduncles, skin, points, normals, area, owner)
 
@@ -160,18 +163,21 @@ def _around_cut(samples: SurfaceSamples, stalk: FruitStalk) -> NDArray[np.intp]:
     return rows[np.linspace(0, len(rows) - 1, CUT_SAMPLES).round().astype(np.intp)]
 
 
-def _neighbours_together(points: FloatArray) -> NDArray[np.intp]:
-    """An order of points in which neighbours in space follow each other: that of their Morton codes.
+def _in_space_order(triangles: FloatArray) -> FloatArray:
+    """`(n, 3, 3)` triangles in the order of the Morton codes of their centroids: neighbours are together.
 
-    Rays are traced in packets, and one whose points all face away from the camera costs nothing.
+    The order of a regular mesh could repeat itself in step with the samples. And rays are traced in packets,
+    of which those that face away from the camera as a whole cost nothing.
     """
-    low, high = points.min(axis=0), points.max(axis=0)
-    cell = ((points - low) / np.maximum(high - low, np.finfo(float).tiny) * 7.0).round().astype(np.int64)
-    code = np.zeros(len(points), np.int64)
-    for bit in range(3):
+    centroids = triangles.mean(axis=1)
+    low, high = centroids.min(axis=0), centroids.max(axis=0)
+    scale = (2**_MORTON_BITS - 1) / np.maximum(high - low, np.finfo(float).tiny)
+    cell = ((centroids - low) * scale).round().astype(np.int64)
+    code = np.zeros(len(cell), np.int64)
+    for bit in range(_MORTON_BITS):
         for axis in range(3):
             code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    return triangles[np.argsort(code, kind="stable")]
 
 
 @dataclass(frozen=True, eq=False)

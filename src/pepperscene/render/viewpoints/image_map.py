@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
 from pepperscene.render.variant import mitsuba_modules
 
 _NODES: Final = 257
-"""Along each side. Chosen: between the nodes, the pixel coordinates of a lens of 90 degrees are right to a few
-thousandths of a pixel."""
+"""Along each side. Chosen: between the nodes, the pixel coordinates of a lens of 90 degrees are right to a
+few thousandths of a pixel."""
 _MARGIN: Final = (
     0.02  # chosen: of the table beyond the image's extreme slopes, so that no border is at its rim
 )
@@ -70,7 +71,7 @@ def image_map(camera: Camera) -> ImageMap:
     table = np.concatenate([pixels, (du_dx * dv_dy - du_dy * dv_dx)[..., None]], axis=-1)
     # Beyond the field of the lens, and beside it where there is no derivative.
     table[..., :2] = np.nan_to_num(table[..., :2], nan=_OUTSIDE)
-    scale = (_NODES - 1) / (high - low)
+    scale: NDArray[np.float64] = (_NODES - 1) / (high - low)
     return ImageMap(
         table=device_array(np.nan_to_num(table)),
         low=(device_float(low[0]), device_float(low[1])),

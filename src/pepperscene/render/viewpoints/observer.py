@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
+from pepperscene.camera.poses import check_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.render.kernel.arrays import local_coordinates
 from pepperscene.render.kernel.scene import truth_scene
@@ -41,10 +42,10 @@ class FruitObserver:
     """Computes what cameras see of the fruit of a scene; the scene stays in the kernel.
 
     Points at equal steps of area stand for the surface of each fruit. A ray is traced from the camera to each
-    point that faces it and is in its image; it shows whether the point is visible, and what hides it. A second
-    ray, to the fruit alone, tells whether the fruit itself hides a point as well. A pixel counts each point
-    with the size of its part of the surface in the image, so fractions are those of label images whose
-    pixels are infinitely small. The result does not depend on the number of threads.
+    point that faces it and is in its image; it shows whether the point is visible, and what hides it. A
+    second ray, to the fruit alone, shows whether the fruit itself hides a point as well. Each point counts
+    with the size of its part of the surface in the image, so fractions are those of label images whose pixels
+    are infinitely small. The result does not depend on the number of threads.
 
     Args:
         scene: with all triangles; one that was culled for other views lacks surfaces that hide fruit.
@@ -63,7 +64,7 @@ class FruitObserver:
         self, scene: Scene, samples: int = SAMPLES, fruit: Sequence[FruitPart] | None = None
     ) -> None:
         if samples < 64 or samples % 64:
-            raise ArgumentError("samples", "must be a multiple of 64 above 0", value=samples)
+            raise ArgumentError("samples", f"must be a multiple of 64 above 0, not {samples}")
         self.points = sample_fruit(scene.mesh, scene_fruit(scene) if fruit is None else fruit, samples)
         coordinates = local_coordinates(scene.mesh)
         self._tracer = PointTracer(truth_scene(scene), scene.mesh, coordinates, self.points)
@@ -83,8 +84,17 @@ class FruitObserver:
             poses: `(n, 4, 4)` camera to world, metres.
             occluders: whether to list what hides each fruit.
             on_progress: called after each part of the poses.
+
+        Raises:
+            ArgumentError: there are no poses, or one is not a rotation and a translation.
         """
         poses = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
+        try:
+            check_poses(poses)
+        except ValueError as error:
+            raise ArgumentError("poses", str(error)) from None
+        if not len(poses):
+            raise ArgumentError("poses", "must be at least one")
         image, device_poses = image_map(camera), self._tracer.device_poses(poses)
         parts = []
         for first in range(0, len(poses), _POSES):
@@ -184,7 +194,7 @@ def _joined(parts: Sequence[FruitVisibility]) -> FruitVisibility:
     """The rows of all parts."""
     first = parts[0]
 
-    def column(name: str) -> NDArray[np.generic]:
+    def column(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(part, name) for part in parts])
 
     occluders = None
@@ -196,7 +206,7 @@ def _joined(parts: Sequence[FruitVisibility]) -> FruitVisibility:
             np.concatenate([one.instance for one in lists]),
             np.concatenate([one.fraction for one in lists]),
         )
-    columns = {name: column(name) for name in ROW_ARRAYS}
+    columns: dict[str, Any] = {name: column(name) for name in ROW_ARRAYS}
     return FruitVisibility(
         poses=first.poses, fruit=first.fruit, peduncle=first.peduncle, occluders=occluders, **columns
     )

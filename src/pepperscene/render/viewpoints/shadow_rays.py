@@ -47,7 +47,7 @@ class TracedPoints:
     @property
     def occluder(self) -> NDArray[np.uint32]:
         """`(p, b)` instance plus 1 of what hides each point, 0 for none; not of what its own organ hides."""
-        return self.state >> OCCLUDER_SHIFT
+        return self.state >> np.uint32(OCCLUDER_SHIFT)
 
 
 class PointTracer:
@@ -86,7 +86,8 @@ class PointTracer:
         Args:
             image: of the camera.
             poses: of `device_poses`.
-            pose_index, fruit_index: `(p,)` of the pairs.
+            pose_index: `(p,)` pose of each pair.
+            fruit_index: `(p,)` fruit of each pair.
         """
         mi, dr = mitsuba_modules()
         count, block = len(pose_index), device_uint(self.block)
