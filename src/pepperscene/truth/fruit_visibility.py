@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.errors import ArgumentError
+
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
@@ -24,6 +26,15 @@ ROW_ARRAYS: Final = (
     "seen",
 )
 """Arrays of `FruitVisibility` with an entry for each row."""
+
+
+_SAMPLE_STEP: Final = 64  # bits are counted in words of eight bytes
+
+
+def check_samples(samples: int) -> None:
+    """Raise `ArgumentError` if fruit cannot have this number of points."""
+    if samples < _SAMPLE_STEP or samples % _SAMPLE_STEP:
+        raise ArgumentError("samples", f"must be a multiple of {_SAMPLE_STEP} above 0, not {samples}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.errors import ArgumentError
 from pepperscene.truth.fruit_visibility import FruitVisibility
 
-BitArray = NDArray[np.uint8]
+BitArray = NDArray[np.uint64]
 
 _MOST_SETS: Final = 10_000_000
 """Chosen: sets of views that an exact search may have to compare; most are excluded by bounds."""
@@ -148,14 +148,14 @@ class _Search:
         rows = number[visibility.fruit_index] >= 0
         self._poses = len(visibility.poses)
         self._pose, self._fruit = visibility.pose_index[rows], number[visibility.fruit_index[rows]]
-        self._seen = visibility.seen[rows]
+        self._seen = np.ascontiguousarray(visibility.seen[rows]).view(np.uint64)
         self._begins = np.searchsorted(self._pose, np.arange(self._poses + 1))
-        self._shape = len(chosen), visibility.seen.shape[1]
+        self._shape = len(chosen), self._seen.shape[1]
         self.total = len(chosen) * visibility.samples
 
     def covered_by(self, poses: Sequence[int]) -> BitArray:
-        """`(f, samples / 8)` the points that some views see."""
-        covered = np.zeros(self._shape, np.uint8)
+        """`(f, samples / 64)` the points that some views see."""
+        covered = np.zeros(self._shape, np.uint64)
         for pose in poses:
             covered = self.joined(covered, pose)
         return covered

@@ -16,15 +16,14 @@ from pepperscene.dataset.recipe.plan import FrameSpec, Stream, random_generator
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.viewpoints.workspace import ReachTest, Workspace, lattice_poses, random_poses
-from pepperscene.dataset.views.free_space import FreeSpace
 from pepperscene.errors import ArgumentError
+from pepperscene.truth.fruit_visibility import FruitVisibility, check_samples
 from pepperscene.truth.view_planning import ViewSequence, greedy_views
 
 if TYPE_CHECKING:
     from pepperscene.classes import Instance
     from pepperscene.render.viewpoints.observer import FruitObserver
     from pepperscene.scene import Scene
-    from pepperscene.truth.fruit_visibility import FruitVisibility
 
 FloatArray = NDArray[np.float64]
 
@@ -65,6 +64,7 @@ class ViewpointOptions:
             raise ArgumentError(names[1], f"cannot be combined with {names[0]}")
         if names and names[0] != "poses" and self.workspace is None:
             raise ArgumentError(names[0], "needs a workspace: a box or a sphere")
+        check_samples(self.samples)
         if self.views < 0:
             raise ArgumentError("views", f"must be at least 0, not {self.views}")
 
@@ -178,7 +178,7 @@ def _groups(renderer: FrameRenderer, indices: Sequence[int]) -> list[list[FrameS
 def _reach_test(scene: Scene, options: ViewpointOptions) -> ReachTest | None:
     if options.workspace is None:
         return None
-    return ReachTest(options.workspace, FreeSpace(scene.mesh), options.clearance_m)
+    return ReachTest(options.workspace, scene.mesh, options.clearance_m)
 
 
 def _workspace_poses(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -13,13 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera.poses import MOST_POSES, look_at
 from pepperscene.dataset.views.free_space import FreeSpace
 from pepperscene.errors import ArgumentError
+from pepperscene.geometry import Mesh
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float, float]
 
-_TRIES: Final = 200
+_TRIES: Final = 50
 """Chosen: positions that are drawn for each wanted one. In a ball half of them are inside, and in dense crop
 one in ten is free."""
+_ROUNDING: Final = 1e-9  # of a number of steps
 _LEVEL: Final = 1e-6  # metres beside the target's vertical from which a camera can look at it
 
 
@@ -129,13 +132,16 @@ class ReachTest:
 
     Attributes:
         workspace: the positions that the robot can reach.
-        space: free space of the scene.
+        mesh: of the scene.
         clearance_m: no surface is nearer to the projection centre.
+
+    Raises:
+        ArgumentError: the clearance is below 0 or not finite.
     """
 
     workspace: Workspace
-    space: FreeSpace
-    clearance_m: float
+    mesh: Mesh
+    clearance_m: float = 0.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.clearance_m) and self.clearance_m >= 0.0):
@@ -148,11 +154,15 @@ class ReachTest:
         points = np.asarray(points, dtype=float).reshape(-1, 3)
         reachable = self.workspace.contains(points) & (points[:, 2] > 0.0)
         rows = np.flatnonzero(reachable)
-        rows_free = self.space.is_free(points[rows], self.clearance_m)
+        rows_free = self._space.is_free(points[rows], self.clearance_m)
         reachable[rows[~rows_free]] = False
         rows = rows[rows_free]
-        reachable[rows[self.space.inside(points[rows])]] = False
+        reachable[rows[self._space.inside(points[rows])]] = False
         return reachable
+
+    @cached_property
+    def _space(self) -> FreeSpace:
+        return FreeSpace(self.mesh)
 
 
 def random_poses(reach: ReachTest, targets: ArrayLike, count: int, rng: np.random.Generator) -> FloatArray:
@@ -181,10 +191,8 @@ def random_poses(reach: ReachTest, targets: ArrayLike, count: int, rng: np.rando
         found.append(poses)
         missing, tries = missing - len(poses), tries - count
     if missing:
-        problem = (
-            f"has {count - missing:,} reachable positions among {_TRIES * count:,}; {count:,} are wanted"
-        )
-        raise ArgumentError("workspace", problem)
+        problem = f"finds {count - missing:,} reachable positions of {count:,} in {_TRIES * count:,} attempts"
+        raise ArgumentError("random", problem)
     return np.concatenate(found)
 
 
@@ -202,7 +210,7 @@ def lattice_poses(reach: ReachTest, targets: ArrayLike, spacing_m: float) -> Flo
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
         raise ArgumentError("spacing", f"must be a finite distance above 0, not {spacing_m:g} m")
     low, high = reach.workspace.bounds_m
-    steps = np.floor((high - low) / spacing_m)
+    steps = np.floor((high - low) / spacing_m + _ROUNDING)
     if np.prod(steps + 1.0) > MOST_POSES:
         raise ArgumentError("spacing", f"of {spacing_m:g} m gives more than {MOST_POSES:,} positions")
     axes = [
@@ -210,6 +218,8 @@ def lattice_poses(reach: ReachTest, targets: ArrayLike, spacing_m: float) -> Flo
         for a, b, n in zip(low, high, steps, strict=True)
     ]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    # Rounding could put the outermost ones outside.
+    points = np.clip(points, low, high)
     poses = facing_poses(points[reach(points)], targets)
     if not len(poses):
         raise ArgumentError(

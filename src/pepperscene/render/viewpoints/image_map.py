@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
@@ -60,18 +59,20 @@ class ImageMap:
 def image_map(camera: Camera) -> ImageMap:
     """The table of a camera; its pose and motion do not matter."""
     slopes = camera.ray_slopes().reshape(-1, 2)
-    low, high = slopes.min(axis=0), slopes.max(axis=0)
-    low, high = low - _MARGIN * (high - low), high + _MARGIN * (high - low)
+    size = np.ptp(slopes, axis=0)
+    low = slopes.min(axis=0) - _MARGIN * size
+    high = slopes.max(axis=0) + _MARGIN * size
     x, y = (np.linspace(low[axis], high[axis], _NODES) for axis in (0, 1))
     points = np.stack([*np.meshgrid(x, y), np.ones((_NODES, _NODES))], axis=-1)
     still = replace(camera, pose=np.eye(4), motion=None)
     pixels = still.project(points.reshape(-1, 3)).reshape(_NODES, _NODES, 2)
     du_dy, du_dx = np.gradient(pixels[..., 0], y, x)
     dv_dy, dv_dx = np.gradient(pixels[..., 1], y, x)
-    table = np.concatenate([pixels, (du_dx * dv_dy - du_dy * dv_dx)[..., None]], axis=-1)
+    area = np.asarray(du_dx * dv_dy - du_dy * dv_dx)
+    table = np.concatenate([pixels, area[..., None]], axis=-1)
     # Beyond the field of the lens, and beside it where there is no derivative.
     table[..., :2] = np.nan_to_num(table[..., :2], nan=_OUTSIDE)
-    scale: NDArray[np.float64] = (_NODES - 1) / (high - low)
+    scale = (_NODES - 1) / (high - low)
     return ImageMap(
         table=device_array(np.nan_to_num(table)),
         low=(device_float(low[0]), device_float(low[1])),

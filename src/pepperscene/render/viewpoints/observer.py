@@ -23,7 +23,7 @@ from pepperscene.render.viewpoints.fruit_parts import (
 from pepperscene.render.viewpoints.image_map import image_map
 from pepperscene.render.viewpoints.shadow_rays import PointState, PointTracer, TracedPoints
 from pepperscene.scene import Scene
-from pepperscene.truth.fruit_visibility import ROW_ARRAYS, FruitVisibility, Occluders
+from pepperscene.truth.fruit_visibility import ROW_ARRAYS, FruitVisibility, Occluders, check_samples
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -36,6 +36,25 @@ _POSES: Final = 1024  # chosen: poses whose fruit in view are found together
 
 Progress = Callable[[int, int], None]
 """Called with the number of poses that are done, and of all."""
+
+
+def fruit_visibility(
+    scene: Scene, camera: Camera, poses: ArrayLike, *, samples: int = SAMPLES, occluders: bool = False
+) -> FruitVisibility:
+    """What a camera sees of the fruit of a scene at some poses; for several calls keep a `FruitObserver`.
+
+    Args:
+        scene: with all triangles, and the skeleton of its plants.
+        camera: lens and sensor; its own pose and motion do not matter.
+        poses: `(n, 4, 4)` camera to world, metres.
+        samples: number of points on each fruit, a multiple of 64.
+        occluders: whether to list what hides each fruit.
+
+    Raises:
+        ArgumentError: as `FruitObserver` and its `observe`.
+        SetupError: no JIT variant of Mitsuba runs on this machine.
+    """
+    return FruitObserver(scene, samples).observe(camera, poses, occluders=occluders)
 
 
 class FruitObserver:
@@ -63,8 +82,7 @@ class FruitObserver:
     def __init__(
         self, scene: Scene, samples: int = SAMPLES, fruit: Sequence[FruitPart] | None = None
     ) -> None:
-        if samples < 64 or samples % 64:
-            raise ArgumentError("samples", f"must be a multiple of 64 above 0, not {samples}")
+        check_samples(samples)
         self.points = sample_fruit(scene.mesh, scene_fruit(scene) if fruit is None else fruit, samples)
         coordinates = local_coordinates(scene.mesh)
         self._tracer = PointTracer(truth_scene(scene), scene.mesh, coordinates, self.points)
