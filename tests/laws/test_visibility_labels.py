@@ -1,0 +1,55 @@
+"""The visibility of fruit against label images of a complete row.
+
+Rationale: the observer samples the fruit's surface from any pose without an image; label images trace a ray
+through each pixel's centre, and find the pixels of each fruit alone with further rays.
+Set-up: the row of `barth2018`, thirteen plants, with its lens; poses in the aisle that face fruit.
+Expected: the visible pixels of each fruit differ by less than 1 % of those that it would have alone. Images
+themselves are uncertain by about the square root of the pixels at an outline, so fruit of few pixels are left
+out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.dataset.viewpoints import BoxWorkspace, ReachTest, random_poses
+from pepperscene.render import Renderer
+from pepperscene.render.viewpoints import FruitObserver
+
+POSES = 50
+LEAST_PIXELS = 2000
+
+
+@pytest.fixture(scope="module")
+def errors():
+    """Differences of visible pixels over those of the fruit alone, of pairs of a pose and a fruit; its fruit."""
+    recipe = load_recipe("barth2018")
+    frames, spec = FrameRenderer(recipe, culled=False), recipe.plan.frame(0)
+    scene, camera = frames.scene(spec, traced=False), frames.camera(spec)
+    observer, renderer = FruitObserver(scene), Renderer(scene)
+    reach = ReachTest(BoxWorkspace((-0.8, -0.6, 0.7), (0.8, -0.25, 2.2)), scene.mesh, 0.03)
+    poses = random_poses(reach, observer.points.skin_centres, POSES, np.random.default_rng(7))
+    seen = observer.observe(camera, poses)
+    found = {}
+    for row, (pose, fruit) in enumerate(zip(seen.pose_index, seen.fruit_index, strict=True)):
+        found[int(pose), int(seen.fruit[fruit])] = seen.visible_pixels[row]
+    differences, fruit_seen = [], set()
+    for number, pose in enumerate(poses):
+        for fruit in renderer.render(camera.at_pose(pose), ["harvest"])["harvest"]["fruit"]:
+            fruit_seen.add(fruit["instance"])
+            pixels = found.get((number, fruit["instance"] - 1), 0.0)
+            if fruit["amodal_pixels"] >= LEAST_PIXELS:
+                differences.append((pixels - fruit["visible_pixels"]) / fruit["amodal_pixels"])
+    return np.array(differences), fruit_seen
+
+
+@pytest.mark.long
+def test_visible_pixels_are_those_of_label_images(errors):
+    differences, fruit_seen = errors
+    assert len(fruit_seen) >= 180
+    assert len(differences) >= 200
+    assert np.sqrt(np.mean(differences**2)) < 0.005
+    assert np.abs(differences.mean()) < 0.001
+    assert np.mean(np.abs(differences) < 0.01) > 0.95
