@@ -9,6 +9,7 @@ It prints the numbers of the page: the coverage after each view.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import Final
 
@@ -116,8 +117,8 @@ def main() -> None:
         ("arc", result.arc),
         ("oracle", result.oracle),
     ):
-        print(name, " ".join(f"{100 * value:.1f}" for value in values))
-    print(f"all candidates {100 * result.most:.1f}, {len(fruit)} fruit")
+        sys.stdout.write(f"{name} {' '.join(f'{100 * value:.1f}' for value in values)}\n")
+    sys.stdout.write(f"all candidates {100 * result.most:.1f}, {len(fruit)} fruit\n")
 
     figure = Figure(figsize=(11.0, 3.0), layout="constrained")
     chart, best, worst = figure.subplots(1, 3, width_ratios=[1.05, 1.0, 1.0])

@@ -24,7 +24,7 @@ LEAST_PIXELS = 2000
 
 @pytest.fixture(scope="module")
 def errors():
-    """Differences of visible pixels over those of the fruit alone, of pairs of a pose and a fruit; its fruit."""
+    """Differences of visible pixels over those of the fruit alone, by pose and fruit; and the fruit."""
     recipe = load_recipe("barth2018")
     frames, spec = FrameRenderer(recipe, culled=False), recipe.plan.frame(0)
     scene, camera = frames.scene(spec, traced=False), frames.camera(spec)

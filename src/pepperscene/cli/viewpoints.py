@@ -88,7 +88,7 @@ def visibility(
         lines.extend(_describe(scene))
         return scene
 
-    with image_progress("observed") as on_progress:
+    with image_progress("observed", "poses") as on_progress:
         scenes = recipe_visibility(resolved, options, frames, on_stage=echo_progress, on_progress=on_progress)
         rows = write_visibility(out, resolved, options, map(described, scenes))
     for line in lines:

@@ -21,6 +21,7 @@ from pepperscene.truth.fruit_visibility import FruitVisibility, check_samples
 from pepperscene.truth.view_planning import ViewSequence, greedy_views
 
 if TYPE_CHECKING:
+    from pepperscene.camera import Camera, PoseList
     from pepperscene.classes import Instance
     from pepperscene.render.viewpoints.observer import FruitObserver
     from pepperscene.scene import Scene
@@ -120,81 +121,112 @@ def recipe_visibility(
         SetupError: no JIT variant of Mitsuba runs on this machine.
     """
     from pepperscene.camera import read_poses
-    from pepperscene.render.viewpoints.observer import FruitObserver
 
     notify = on_stage or _ignore
     indices = recipe.recipe.plan.select_indices(frames)
     from_file = None if options.poses is None else read_poses(options.poses)
     keeper = SceneKeeper(None)
-    renderer = FrameRenderer(recipe, keeper, culled=False, on_stage=notify)
-    of_frames = from_file is None and options.random is None and options.spacing_m is None
-    groups = _groups(renderer, indices) if of_frames else [[recipe.recipe.plan.frame(indices[0])]]
+    source = _PoseSource(FrameRenderer(recipe, keeper, culled=False), keeper, options, from_file)
+    groups = source.groups(indices)
     if options.views and len(groups) > 1:
         raise ArgumentError("views", f"needs frames of one scene and camera, not of {len(groups)}")
     for specs in groups:
         notify("growing plants")
-        if of_frames:
-            cameras = [renderer.camera(spec) for spec in specs]
-            camera, poses = cameras[0], np.array([one.pose for one in cameras])
-        else:
-            camera, poses = renderer.setups.at(specs[0]).camera, np.zeros((0, 4, 4))
-        # Views that depend on the plants have assembled the scene already.
-        held = keeper.scene if of_frames and renderer.views.depends_on_scene else None
-        scene = held or renderer.scene(specs[0], traced=False)
-        observer = FruitObserver(scene, options.samples)
-        reach = _reach_test(scene, options)
-        if from_file is not None:
-            poses = from_file.poses
-        elif not of_frames:
-            poses = _workspace_poses(renderer, specs[0], observer, options, reach)
-        notify(f"observing {len(observer.points.fruit)} fruit from {len(poses):,} poses")
-        visibility = observer.observe(camera, poses, occluders=options.occluders, on_progress=on_progress)
-        reachable = None if reach is None else reach(poses[:, :3, 3])
-        candidates = visibility if reachable is None else visibility.of_poses(reachable)
-        yield SceneVisibility(
-            spec=specs[0],
-            visibility=visibility,
-            instances=scene.mesh.instances,
-            centres_m=observer.points.skin_centres,
-            frames=tuple(spec.index for spec in specs) if of_frames else None,
-            names=None if from_file is None else from_file.names,
-            reachable=reachable,
-            best=candidates.best_poses(),
-            views=greedy_views(candidates, options.views) if options.views else None,
-        )
+        yield _observe(source, specs, notify, on_progress)
 
 
-def _groups(renderer: FrameRenderer, indices: Sequence[int]) -> list[list[FrameSpec]]:
-    """Frames that share a scene and a camera, in the order of their indices."""
+def _observe(
+    source: _PoseSource,
+    specs: Sequence[FrameSpec],
+    notify: Callable[[str], None],
+    on_progress: Callable[[int, int], None] | None,
+) -> SceneVisibility:
+    """What the cameras of one scene see."""
+    from pepperscene.render.viewpoints.observer import FruitObserver
 
-    def key(spec: FrameSpec) -> tuple[int, str, str]:
-        setup = renderer.setups.at(spec)
-        return spec.scene, setup.plants, setup.optics
+    options = source.options
+    frames_poses = source.frame_poses(specs)
+    scene, camera = source.scene(specs[0]), source.camera(specs[0])
+    observer = FruitObserver(scene, options.samples)
+    workspace = options.workspace
+    reach = None if workspace is None else ReachTest(workspace, scene.mesh, options.clearance_m)
+    poses = source.other_poses(specs[0], observer, reach) if frames_poses is None else frames_poses
+    notify(f"observing {len(observer.points.fruit)} fruit from {len(poses):,} poses")
+    visibility = observer.observe(camera, poses, occluders=options.occluders, on_progress=on_progress)
+    reachable = None if reach is None else reach(poses[:, :3, 3])
+    candidates = visibility if reachable is None else visibility.of_poses(reachable)
+    return SceneVisibility(
+        spec=specs[0],
+        visibility=visibility,
+        instances=scene.mesh.instances,
+        centres_m=observer.points.skin_centres,
+        frames=None if frames_poses is None else tuple(spec.index for spec in specs),
+        names=None if source.from_file is None else source.from_file.names,
+        reachable=reachable,
+        best=candidates.best_poses(),
+        views=greedy_views(candidates, options.views) if options.views else None,
+    )
 
-    specs = [renderer.recipe.plan.frame(index) for index in indices]
-    return [list(group) for _, group in groupby(sorted(specs, key=key), key)]
 
+@dataclass(frozen=True, eq=False)
+class _PoseSource:
+    """Scenes and poses of a recipe, or poses from elsewhere.
 
-def _reach_test(scene: Scene, options: ViewpointOptions) -> ReachTest | None:
-    if options.workspace is None:
-        return None
-    return ReachTest(options.workspace, scene.mesh, options.clearance_m)
+    Attributes:
+        renderer: of the recipe; its scenes are not culled.
+        keeper: of its scenes.
+        options: where poses come from.
+        from_file: poses of a file, or None.
+    """
 
+    renderer: FrameRenderer
+    keeper: SceneKeeper
+    options: ViewpointOptions
+    from_file: PoseList | None
 
-def _workspace_poses(
-    renderer: FrameRenderer,
-    spec: FrameSpec,
-    observer: FruitObserver,
-    options: ViewpointOptions,
-    reach: ReachTest | None,
-) -> FloatArray:
-    """Random poses or those of a lattice; each faces the nearest fruit."""
-    assert reach is not None  # checked by the options
-    targets = observer.points.skin_centres
-    if options.spacing_m is not None:
-        return lattice_poses(reach, targets, options.spacing_m)
-    rng = random_generator(renderer.recipe.seed, Stream.VIEW, spec.scene, 1)
-    return random_poses(reach, targets, options.random or 0, rng)
+    @property
+    def of_frames(self) -> bool:
+        """Whether the poses are those of the recipe's frames."""
+        return self.from_file is None and self.options.random is None and self.options.spacing_m is None
+
+    def groups(self, indices: Sequence[int]) -> list[list[FrameSpec]]:
+        """Frames that share a scene and a camera; with poses from elsewhere the first frame alone."""
+        setups = self.renderer.setups
+
+        def key(spec: FrameSpec) -> tuple[int, str, str]:
+            setup = setups.at(spec)
+            return spec.scene, setup.plants, setup.optics
+
+        specs = [self.renderer.recipe.plan.frame(index) for index in indices]
+        if not self.of_frames:
+            return [specs[:1]]
+        return [list(group) for _, group in groupby(sorted(specs, key=key), key)]
+
+    def frame_poses(self, specs: Sequence[FrameSpec]) -> FloatArray | None:
+        """`(n, 4, 4)` the poses of some frames; None with poses from elsewhere."""
+        return np.array([self.renderer.camera(spec).pose for spec in specs]) if self.of_frames else None
+
+    def camera(self, spec: FrameSpec) -> Camera:
+        """Lens and sensor of a frame; the pose does not matter."""
+        return self.renderer.setups.at(spec).camera
+
+    def scene(self, spec: FrameSpec) -> Scene:
+        """The scene of a frame with all its triangles."""
+        # Views that depend on the plants have assembled it already.
+        has_scene = self.of_frames and self.renderer.views.depends_on_scene
+        held = self.keeper.scene if has_scene else None
+        return held or self.renderer.scene(spec, traced=False)
+
+    def other_poses(self, spec: FrameSpec, observer: FruitObserver, reach: ReachTest | None) -> FloatArray:
+        """`(n, 4, 4)` the poses of the file, or those in the workspace, which face the nearest fruit."""
+        if self.from_file is not None:
+            return self.from_file.poses
+        assert reach is not None  # checked by the options
+        targets = observer.points.skin_centres
+        if self.options.spacing_m is not None:
+            return lattice_poses(reach, targets, self.options.spacing_m)
+        rng = random_generator(self.renderer.recipe.seed, Stream.VIEW, spec.scene, 1)
+        return random_poses(reach, targets, self.options.random or 0, rng)
 
 
 def _ignore(_: str) -> None:
