@@ -27,8 +27,10 @@ PLANT: Final = 2  # in the middle of the front row
 VIEWS: Final = 12
 CANDIDATES: Final = 600
 INK, ORANGE, BLUE, GREEN = "#333333", "#d98c21", "#2c6fbb", "#3c7a32"
-BRIGHTER: Final = 1.8  # as the pictures of the index page
-NEAR_M: Final = (0.3, 0.55)
+OUTLINE: Final = "#ff30ff"
+BRIGHTER: Final = 1.2  # the flash leaves the distance dark
+LEAST_VISIBLE: Final = 0.1  # chosen: a part of the fruit is to be seen in the worst view as well
+NEAR_M: Final = (0.4, 0.6)
 """Distances of the views that are shown. Chosen: the fruit is large, and leaves are in between."""
 
 
@@ -42,13 +44,15 @@ class Example:
 
 
 def most_different(observer: ps.FruitObserver, seen: ps.FruitVisibility, fruit: np.ndarray) -> Example:
-    """The fruit whose views from nearby differ most; each view has it in the middle of the image."""
+    """The large fruit whose views from nearby differ most; each view has it in the middle of the image."""
     distance = np.linalg.norm(
         observer.points.skin_centres[seen.fruit_index] - seen.poses[seen.pose_index, :3, 3], axis=1
     )
     towards = observer.points.skin_centres[seen.fruit_index] - seen.poses[seen.pose_index, :3, 3]
     centred = np.einsum("ri,ri->r", towards, seen.poses[seen.pose_index, :3, 2]) > 0.9999 * distance
-    near = centred & (NEAR_M[0] < distance) & (distance < NEAR_M[1]) & np.isin(seen.fruit_index, fruit)
+    large = fruit[observer.points.area_m2[fruit] > np.median(observer.points.area_m2[fruit])]
+    near = centred & (NEAR_M[0] < distance) & (distance < NEAR_M[1]) & np.isin(seen.fruit_index, large)
+    near &= seen.visible_fraction > LEAST_VISIBLE
     examples = []
     for number in np.unique(seen.fruit_index[near]):
         rows = np.flatnonzero(near & (seen.fruit_index == number))
@@ -69,7 +73,7 @@ def show_view(axes: Axes, frames: ps.FrameRenderer, pose: np.ndarray, instance: 
     axes.imshow(np.clip(frame.colour.astype(float) * BRIGHTER, 0, 255).astype(np.uint8))
     fruit = next(one for one in frame["harvest"]["fruit"] if one["instance"] == instance + 1)
     for outline in amodal_outlines(fruit):
-        axes.plot(*(outline.T - 0.5), color="white", lw=1.2)
+        axes.plot(*(outline.T - 0.5), color=OUTLINE, lw=1.5)
     axes.set_title(f"{title}: {fruit['visible_fraction']:.0%} of the fruit visible", fontsize=9, color=INK)
     axes.set_axis_off()
 
@@ -120,8 +124,8 @@ def main() -> None:
         sys.stdout.write(f"{name} {' '.join(f'{100 * value:.1f}' for value in values)}\n")
     sys.stdout.write(f"all candidates {100 * result.most:.1f}, {len(fruit)} fruit\n")
 
-    figure = Figure(figsize=(11.0, 3.0), layout="constrained")
-    chart, best, worst = figure.subplots(1, 3, width_ratios=[1.05, 1.0, 1.0])
+    figure = Figure(figsize=(11.0, 2.75), layout="constrained")
+    chart, best, worst = figure.subplots(1, 3, width_ratios=[0.95, 1.0, 1.0])
     draw_coverage(chart, result)
     example = most_different(observer, observer.observe(camera, candidates), fruit)
     show_view(best, frames, candidates[example.best], example.instance, "best view")

@@ -19,7 +19,8 @@ from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import FruitObserver
 
 POSES = 50
-LEAST_PIXELS = 2000
+LEAST_PIXELS = 1000
+SAMPLES = 16384
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,7 @@ def errors():
     recipe = load_recipe("barth2018")
     frames, spec = FrameRenderer(recipe, culled=False), recipe.plan.frame(0)
     scene, camera = frames.scene(spec, traced=False), frames.camera(spec)
-    observer, renderer = FruitObserver(scene), Renderer(scene)
+    observer, renderer = FruitObserver(scene, SAMPLES), Renderer(scene)
     reach = ReachTest(BoxWorkspace((-0.8, -0.6, 0.7), (0.8, -0.25, 2.2)), scene.mesh, 0.03)
     poses = random_poses(reach, observer.points.skin_centres, POSES, np.random.default_rng(7))
     seen = observer.observe(camera, poses)
@@ -50,6 +51,6 @@ def test_visible_pixels_are_those_of_label_images(errors):
     differences, fruit_seen = errors
     assert len(fruit_seen) >= 180
     assert len(differences) >= 200
-    assert np.sqrt(np.mean(differences**2)) < 0.005
-    assert np.abs(differences.mean()) < 0.001
-    assert np.mean(np.abs(differences) < 0.01) > 0.95
+    assert np.abs(differences).max() < 0.01
+    assert np.sqrt(np.mean(differences**2)) < 0.003
+    assert np.abs(differences.mean()) < 0.0005

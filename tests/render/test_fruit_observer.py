@@ -256,7 +256,7 @@ def test_fractions_are_those_of_label_images(plant):
 
 def test_the_best_pose_is_that_of_label_images(plant):
     scene, cameras = plant
-    seen = FruitObserver(scene).observe(cameras[0], [camera.pose for camera in cameras])
+    seen = FruitObserver(scene, 1024).observe(cameras[0], [camera.pose for camera in cameras])
     best = seen.best_poses()
     assert (best >= 0).sum() >= 3
     for fruit in np.flatnonzero(best >= 0):

@@ -10,6 +10,7 @@ import typer
 from pepperscene.cli.application import RecipeArgument, SeedOption, SetOption, app, handle_errors
 from pepperscene.cli.progress import echo_progress, image_progress
 from pepperscene.errors import ArgumentError
+from pepperscene.truth.fruit_visibility import SAMPLES
 
 if TYPE_CHECKING:
     from pepperscene.dataset.viewpoints.recipe_visibility import SceneVisibility
@@ -57,7 +58,9 @@ def visibility(
     views: Annotated[
         int, typer.Option(metavar="K", help="Find the K next best views among the reachable poses.")
     ] = 0,
-    samples: Annotated[int, typer.Option(metavar="N", help="Points on each fruit, a multiple of 64.")] = 1024,
+    samples: Annotated[
+        int, typer.Option(metavar="N", help="Points on each fruit, a multiple of 64.")
+    ] = SAMPLES,
     occluders: Annotated[bool, typer.Option(help="List what hides each fruit.")] = True,
     seed: SeedOption = None,
     set: SetOption = None,

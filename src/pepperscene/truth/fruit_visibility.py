@@ -28,6 +28,9 @@ ROW_ARRAYS: Final = (
 """Arrays of `FruitVisibility` with an entry for each row."""
 
 
+SAMPLES: Final = 4096
+"""Default number of points on a fruit. Chosen: visible pixels are right to 0.5 % of the fruit's pixels, and
+1,000 poses in front of a row take 17 s of CPU time. Four times as many give 0.2 %, and a quarter 1.1 %."""
 _SAMPLE_STEP: Final = 64  # bits are counted in words of eight bytes
 
 

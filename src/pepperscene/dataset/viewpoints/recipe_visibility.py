@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.viewpoints.workspace import ReachTest, Workspace, lattice_poses, random_poses
 from pepperscene.errors import ArgumentError
-from pepperscene.truth.fruit_visibility import FruitVisibility, check_samples
+from pepperscene.truth.fruit_visibility import SAMPLES, FruitVisibility, check_samples
 from pepperscene.truth.view_planning import ViewSequence, greedy_views
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from pepperscene.scene import Scene
 
 FloatArray = NDArray[np.float64]
-
-SAMPLES: Final = 1024
-"""Points on each fruit; see `render.viewpoints.observer`."""
 
 
 @dataclass(frozen=True)

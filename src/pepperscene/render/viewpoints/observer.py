@@ -23,14 +23,17 @@ from pepperscene.render.viewpoints.fruit_parts import (
 from pepperscene.render.viewpoints.image_map import image_map
 from pepperscene.render.viewpoints.shadow_rays import PointState, PointTracer, TracedPoints
 from pepperscene.scene import Scene
-from pepperscene.truth.fruit_visibility import ROW_ARRAYS, FruitVisibility, Occluders, check_samples
+from pepperscene.truth.fruit_visibility import (
+    ROW_ARRAYS,
+    SAMPLES,
+    FruitVisibility,
+    Occluders,
+    check_samples,
+)
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
-SAMPLES: Final = 1024
-"""Points on each fruit. Chosen: fractions are right to about 0.005, the difference between two label images
-whose pixels are shifted by half a pixel for fruit of 1,000 pixels."""
 _LANES: Final = 1 << 21  # chosen: points that are traced together, in about 100 MB
 _POSES: Final = 1024  # chosen: poses whose fruit in view are found together
 
