@@ -407,6 +407,16 @@ def views() -> Image.Image:
     return drawn(figure)
 
 
+def visibility() -> Image.Image:
+    """The best and the worst view of a fruit: parts of the picture of the page on visibility."""
+    picture = np.asarray(Image.open(IMAGES / "visibility.png").convert("RGB"))
+    image = white()
+    for place, left, text in ((0, 561, "best view"), (121, 953, "worst view")):
+        image.paste(Image.fromarray(picture[62:222, left : left + 119]), (place, 0))
+        caption(image, (place + 5, 145), text, 9)
+    return image
+
+
 def vary() -> Image.Image:
     """Six frames of `randomised`."""
     image = white()
@@ -1098,8 +1108,8 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, build, camera, vary, motion,
-    read, learn, export, own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
+    quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, build, camera, visibility, vary,
+    motion, read, learn, export, own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

@@ -47,6 +47,15 @@ from .dataset import torch_detections as torch_detections
 from .dataset import torch_images as torch_images
 from .dataset import write_image as write_image
 from .dataset import write_report as write_report
+from .dataset.viewpoints import BoxWorkspace as BoxWorkspace
+from .dataset.viewpoints import FunctionWorkspace as FunctionWorkspace
+from .dataset.viewpoints import PlannerComparison as PlannerComparison
+from .dataset.viewpoints import ReachTest as ReachTest
+from .dataset.viewpoints import SphereWorkspace as SphereWorkspace
+from .dataset.viewpoints import Workspace as Workspace
+from .dataset.viewpoints import compare_planners as compare_planners
+from .dataset.viewpoints import lattice_poses as lattice_poses
+from .dataset.viewpoints import random_poses as random_poses
 from .errors import InputError as InputError
 from .errors import OutputError as OutputError
 from .errors import PepperError as PepperError
@@ -80,6 +89,8 @@ from .materials import organ_surfaces as organ_surfaces
 from .materials import twine_surface as twine_surface
 from .render import Renderer as Renderer
 from .render import render_scene as render_scene
+from .render.viewpoints import FruitObserver as FruitObserver
+from .render.viewpoints import fruit_visibility as fruit_visibility
 from .scene import Scene as Scene
 from .scene import Sky as Sky
 from .scene import Twine as Twine
@@ -94,6 +105,12 @@ from .truth import class_colour as class_colour
 from .truth import class_from_colour as class_from_colour
 from .truth import distance_code as distance_code
 from .truth import distance_from_code as distance_from_code
+from .truth.fruit_visibility import FruitVisibility as FruitVisibility
+from .truth.fruit_visibility import Occluders as Occluders
+from .truth.view_planning import ViewSequence as ViewSequence
+from .truth.view_planning import exact_views as exact_views
+from .truth.view_planning import greedy_views as greedy_views
+from .truth.view_planning import view_coverage as view_coverage
 from .tuning import TuningResult as TuningResult
 from .tuning import simulate_patches as simulate_patches
 from .tuning import tune as tune

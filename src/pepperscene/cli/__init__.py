@@ -4,7 +4,17 @@ Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix
 plus the number of the signal that interrupted the command.
 """
 
-from pepperscene.cli import building, datasets, experiments, learning, machine, planning, tuning, viewing
+from pepperscene.cli import (
+    building,
+    datasets,
+    experiments,
+    learning,
+    machine,
+    planning,
+    tuning,
+    viewing,
+    viewpoints,
+)
 from pepperscene.cli.application import app, main
 
 __all__ = [
@@ -18,4 +28,5 @@ __all__ = [
     "planning",
     "tuning",
     "viewing",
+    "viewpoints",
 ]

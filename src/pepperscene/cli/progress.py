@@ -214,11 +214,12 @@ def export_progress() -> Iterator[Callable[[int, int, int], None]]:
 
 
 @contextmanager
-def image_progress(verb: str) -> Iterator[Callable[[int, int], None]]:
+def image_progress(verb: str, noun: str = "images") -> Iterator[Callable[[int, int], None]]:
     """Callback for each image of a set: a bar on a terminal, lines elsewhere.
 
     Args:
         verb: what is done with an image, as a participle ("evaluated").
+        noun: what is done, if not images.
     """
     if sys.stderr.isatty():
         with _simple_bar(verb, transient=True) as (bar, task):
@@ -228,7 +229,7 @@ def image_progress(verb: str) -> Iterator[Callable[[int, int], None]]:
 
     def print_line(done: int, total: int) -> None:
         if total > _EVERY_LINE and throttle.is_due(done, total):
-            echo_progress(f"{done:,} of {total:,} images {verb}")
+            echo_progress(f"{done:,} of {total:,} {noun} {verb}")
 
     yield print_line
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
+from pepperscene.geometry.surface_samples import area_normals, sample_surface
 
 if TYPE_CHECKING:
     from pepperscene.dataset.views.free_space import FreeSpace
@@ -29,10 +30,6 @@ RIPE_FROM: Final = 0.5
 _SAMPLES: Final = 256
 """Points on an organ. Chosen: its visible fraction is known to about 0.02, and tracing so few rays takes
 hardly longer than starting the kernel."""
-_R2_STEPS: Final = np.array([0.7548776662466927, 0.5698402909980532])
-"""Steps of the R2 sequence, which covers a square evenly (M. Roberts, "The unreasonable effectiveness of
-quasirandom sequences", 2018): powers of the inverse of the real root of x^3 = x + 1."""
-
 _KEY: Final = "views.target"  # of a recipe
 
 
@@ -107,29 +104,17 @@ def _classes() -> dict[str, OrganClass]:
 def organ_target(mesh: Mesh, instance: int, space: FreeSpace) -> Target:
     """An organ with triangles as a target."""
     triangles = _triangles(mesh, instance)
-    first, second, third = triangles.transpose(1, 0, 2)
-    normals = _area_normals(triangles)
-    areas = np.linalg.norm(normals, axis=1)
-    ends = np.cumsum(areas)
-    centroid = _centroid(triangles, areas)
-    if not ends[-1] > 0.0:
+    centroid = _centroid(triangles, np.linalg.norm(area_normals(triangles), axis=1))
+    samples = sample_surface(triangles, _SAMPLES)
+    if samples is None:
         return Target(instance, centroid, centroid[None], None, False)
-
-    # Equal steps of area, each with another place in its triangle.
-    number = np.arange(_SAMPLES)
-    rows = np.minimum(np.searchsorted(ends, (number + 0.5) / _SAMPLES * ends[-1]), len(ends) - 1)
-    u, v = ((number[:, None] * _R2_STEPS) % 1.0).T
-    outside = u + v > 1.0
-    u, v = np.where(outside, 1.0 - u, u), np.where(outside, 1.0 - v, v)
-    samples = first[rows] + u[:, None] * (second - first)[rows] + v[:, None] * (third - first)[rows]
-    unit_normals = normals[rows] / np.maximum(areas[rows], np.finfo(float).tiny)[:, None]
-    return Target(instance, centroid, samples, unit_normals, space.is_closed(instance))
+    return Target(instance, centroid, samples.points, samples.normals, space.is_closed(instance))
 
 
 def organ_centroid(mesh: Mesh, instance: int) -> FloatArray:
     """`(3,)` centroid of the surface of an organ with triangles; the mean corner of one without area."""
     triangles = _triangles(mesh, instance)
-    return _centroid(triangles, np.linalg.norm(_area_normals(triangles), axis=1))
+    return _centroid(triangles, np.linalg.norm(area_normals(triangles), axis=1))
 
 
 def _triangles(mesh: Mesh, instance: int) -> FloatArray:
@@ -144,12 +129,6 @@ def _centroid(triangles: FloatArray, areas: FloatArray) -> FloatArray:
         return np.asarray(triangles.mean(axis=(0, 1)))
     first, second, third = triangles.transpose(1, 0, 2)
     return np.asarray(areas @ (first + second + third) / (3.0 * total))
-
-
-def _area_normals(triangles: FloatArray) -> FloatArray:
-    """`(n, 3)` normals of `(n, 3, 3)` triangles, as long as their areas."""
-    first, second, third = triangles.transpose(1, 0, 2)
-    return 0.5 * np.cross(second - first, third - first)
 
 
 def point_target(point: tuple[float, float, float]) -> Target:

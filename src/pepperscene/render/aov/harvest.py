@@ -100,10 +100,10 @@ class SceneHarvest:
         end = frames.foot[0] + pose[:3, :3] @ blossom_end(local, mesh.faces, mesh.uv[:, 1])
         low, high = local.min(axis=0), local.max(axis=0)
         centre = frames.foot[0] + pose[:3, :3] @ (0.5 * (low + high))
-        ancestors = _ancestors(self._skeleton, index)
+        ancestors = organ_ancestors(self._skeleton, index)
         names = ("ripeness", "ripeness_spread", "length_m", "diameter_m")
         measures = {name: float(organ.measures.get(name, 0.0)) for name in names}
-        stalk = _find_stalk(self._skeleton, ancestors)
+        stalk = find_fruit_stalk(self._skeleton, ancestors)
         approach = tool_approach(centre, self._stem_axis(instance.plant))
         return FruitTruth(index, instance, pose, low, high, measures, end, ancestors, stalk, approach)
 
@@ -115,7 +115,7 @@ class SceneHarvest:
         return self._stem_axes[plant]
 
 
-def _ancestors(skeleton: Skeleton, index: int) -> tuple[int, ...]:
+def organ_ancestors(skeleton: Skeleton, index: int) -> tuple[int, ...]:
     """Indices of an organ, its parent and so on, down to the first organ of the main stem."""
     line = []
     while index >= 0:
@@ -129,7 +129,7 @@ def _organ_form(skeleton: Skeleton, index: int) -> str | None:
     return None if kind is None else kind.form
 
 
-def _find_stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
+def find_fruit_stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
     """The stalk of a fruit, directly above it or above its calyx; None if it has none."""
     forms = [_organ_form(skeleton, index) for index in ancestors]
     position = next((step for step in range(1, len(forms)) if forms[step] != "calyx"), len(forms))

@@ -1,0 +1,145 @@
+"""The command `visibility`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pepperscene.cli.application import RecipeArgument, SeedOption, SetOption, app, handle_errors
+from pepperscene.cli.progress import echo_progress, image_progress
+from pepperscene.errors import ArgumentError
+from pepperscene.truth.fruit_visibility import SAMPLES
+
+if TYPE_CHECKING:
+    from pepperscene.dataset.viewpoints.recipe_visibility import SceneVisibility
+    from pepperscene.dataset.viewpoints.workspace import Workspace
+
+
+@app.command()
+@handle_errors
+def visibility(
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Parquet file of the table.")],
+    recipe: RecipeArgument = "demo",
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A:B",
+            help="Frames A to B - 1, counted from 0, whose cameras observe the fruit; with other poses, the "
+            "first one sets the scene. Default: the recipe's.",
+        ),
+    ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Observe from the poses of a file: TUM, CSV, nerfstudio or COLMAP."
+        ),
+    ] = None,
+    random: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Observe from N random positions in the workspace."),
+    ] = None,
+    spacing: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Observe from a lattice of positions in the workspace."),
+    ] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(metavar="X0,X1,Y0,Y1,Z0,Z1", help="Workspace of the camera: a box, in millimetres."),
+    ] = None,
+    sphere: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z,R", help="Workspace of the camera: a ball, in millimetres."),
+    ] = None,
+    clearance: Annotated[
+        float, typer.Option(metavar="MM", help="Least distance of a reachable camera from any surface.")
+    ] = 0.0,
+    views: Annotated[
+        int, typer.Option(metavar="K", help="Find the K next best views among the reachable poses.")
+    ] = 0,
+    samples: Annotated[
+        int, typer.Option(metavar="N", help="Points on each fruit, a multiple of 64.")
+    ] = SAMPLES,
+    occluders: Annotated[bool, typer.Option(help="List what hides each fruit.")] = True,
+    seed: SeedOption = None,
+    set: SetOption = None,
+) -> None:
+    """Compute what cameras see of each fruit, what hides it, and the next best views, without images."""
+    from pepperscene.dataset import parse_changes, resolve_recipe
+    from pepperscene.dataset.viewpoints.recipe_visibility import ViewpointOptions, recipe_visibility
+    from pepperscene.dataset.viewpoints.table import check_table_path, write_visibility
+
+    check_table_path(out)
+    options = ViewpointOptions(
+        poses=poses,
+        random=random,
+        spacing_m=None if spacing is None else spacing / 1e3,
+        workspace=_workspace(box, sphere),
+        clearance_m=clearance / 1e3,
+        views=views,
+        samples=samples,
+        occluders=occluders,
+    )
+    if clearance and options.workspace is None:
+        raise ArgumentError("clearance", "needs a workspace: --box or --sphere")
+    changes = parse_changes(set or ()) | ({} if seed is None else {"seed": seed})
+    resolved = resolve_recipe(recipe, changes)
+    lines: list[str] = []
+
+    def described(scene: SceneVisibility) -> SceneVisibility:
+        lines.extend(_describe(scene))
+        return scene
+
+    with image_progress("observed", "poses") as on_progress:
+        scenes = recipe_visibility(resolved, options, frames, on_stage=echo_progress, on_progress=on_progress)
+        rows = write_visibility(out, resolved, options, map(described, scenes))
+    for line in lines:
+        typer.echo(line)
+    typer.echo(f"{rows:,} rows: {out}")
+
+
+def _workspace(box: str | None, sphere: str | None) -> Workspace | None:
+    from pepperscene.dataset.viewpoints.workspace import BoxWorkspace, SphereWorkspace
+
+    if box is not None and sphere is not None:
+        raise ArgumentError("sphere", "cannot be combined with box")
+    if box is not None:
+        x0, x1, y0, y1, z0, z1 = _metres(box, "box", 6)
+        return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
+    if sphere is not None:
+        x, y, z, radius = _metres(sphere, "sphere", 4)
+        return SphereWorkspace((x, y, z), radius)
+    return None
+
+
+def _metres(text: str, option: str, count: int) -> list[float]:
+    """Numbers of an option in millimetres."""
+    try:
+        values = [float(part) / 1e3 for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise ArgumentError(option, f"must be {count} numbers separated by commas, not {text!r}")
+    return values
+
+
+def _describe(scene: SceneVisibility) -> list[str]:
+    """Lines about a scene: how much is seen, and the next best views."""
+    seen, poses = scene.visibility, scene.visibility.poses
+    counted = f"{len(poses):,} poses"
+    if scene.reachable is not None:
+        counted += f", {int(scene.reachable.sum()):,} reachable"
+    found = int((scene.best >= 0).sum())
+    lines = [f"scene {scene.spec.scene}: {counted}; {found} of {len(seen.fruit)} fruit are seen"]
+    if scene.views is None:
+        return lines
+    for number, (pose, coverage) in enumerate(
+        zip(scene.views.poses, scene.views.coverage, strict=True), start=1
+    ):
+        x, y, z = 1e3 * poses[pose, :3, 3]
+        lines.append(
+            f"view {number}: pose {pose} at ({x:.0f}, {y:.0f}, {z:.0f}) mm, "
+            f"{coverage:.1%} of the fruit's surface seen"
+        )
+    return lines

@@ -1,0 +1,265 @@
+"""Visibility of fruit from many poses: closed forms, an independent ray caster, and label images.
+
+The points on a surface are evenly distributed, so a share of it is known to a few times one over their number
+to the power of 3/4; the tolerances follow from that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from bodies import axis_camera, body, card, sphere
+from trimesh.ray.ray_triangle import RayMeshIntersector
+
+from pepperscene.camera import Distortion, look_at
+from pepperscene.classes import OrganClass
+from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.errors import ArgumentError
+from pepperscene.geometry import concatenate_meshes
+from pepperscene.render import Renderer
+from pepperscene.render.viewpoints import observer as observer_module
+from pepperscene.render.viewpoints.fruit_parts import FruitPart
+from pepperscene.render.viewpoints.observer import FruitObserver
+from pepperscene.scene import assemble_scene
+from pepperscene.truth.cut_point import FruitStalk
+
+RADIUS_M = 0.03
+FOCAL_PX = 4.16e-3 / 9e-6
+CAMERA = axis_camera(flash=False)
+AHEAD = np.eye(4)  # at the origin, along +z
+FIRST = FruitPart(0)
+
+
+def observer(*meshes, fruit=(FIRST,), samples=4096):
+    return FruitObserver(assemble_scene(concatenate_meshes(meshes)), samples, fruit)
+
+
+def ball(x=0.0, y=0.0, z=0.5, subdivisions=5):
+    return sphere((x, y, z), RADIUS_M, "matt", subdivisions)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.3, 0.1, 0.01])
+def test_a_free_ball_shows_its_cap(ratio):
+    # Lines of sight touch a ball of radius R at a distance d on a circle; in front of it is (1 - R / d) / 2.
+    distance = RADIUS_M / ratio
+    seen = observer(ball(z=distance)).observe(CAMERA, AHEAD)
+    assert seen.surface_fraction[0] == pytest.approx((1.0 - ratio) / 2.0, abs=0.004)
+    # Its facets are flat, so those at the rim are in part hidden.
+    assert seen.facing_fraction[0] == pytest.approx(1.0, abs=0.02)
+    assert seen.visible_fraction[0] == pytest.approx(1.0, abs=1e-3)
+    # Its image is a disc.
+    radius_px = FOCAL_PX * ratio / np.sqrt(1.0 - ratio**2)
+    assert seen.visible_pixels[0] == pytest.approx(np.pi * radius_px**2, rel=0.01)
+
+
+@pytest.mark.parametrize("covered", [0.25, 0.5, 0.9])
+def test_a_plate_hides_its_share_of_a_disc(covered):
+    # The share of a disc left of a line at x radii is (acos(-x) + x sqrt(1 - x^2)) / pi.
+    x = np.linspace(-1, 1, 100001)
+    edge = np.interp(covered, (np.arccos(-x) + x * np.sqrt(1 - x**2)) / np.pi, x)
+    right = edge * RADIUS_M / np.sqrt(1 - (RADIUS_M / 0.5) ** 2) / 2
+    plate = card(right - 0.1, 0.0, 0.2, 0.2, "matt", 0.25)
+    seen = observer(ball(), plate).observe(CAMERA, AHEAD, occluders=True)
+    assert seen.visible_fraction[0] == pytest.approx(1.0 - covered, abs=0.005)
+    assert seen.occluders.instance.tolist() == [1]
+    assert seen.occluders.fraction[0] == pytest.approx(covered, abs=0.005)
+
+
+def test_of_two_plates_behind_each_other_the_first_one_is_the_occluder():
+    near, far = card(-0.1, 0.0, 0.2, 0.2, "matt", 0.1), card(0.0, 0.0, 0.4, 0.4, "matt", 0.3)
+    seen = observer(ball(), near, far).observe(CAMERA, AHEAD, occluders=True)
+    assert seen.visible_fraction[0] == 0.0
+    assert sorted(seen.occluders.instance.tolist()) == [1, 2]
+    np.testing.assert_allclose(seen.occluders.fraction, 0.5, atol=0.01)
+    assert np.all(np.diff(seen.occluders.fraction) <= 0.0)
+
+
+def test_what_a_body_hides_of_itself_counts_in_the_areas_alone():
+    ring = body(trimesh.creation.torus(0.05, 0.02), "matt", OrganClass.PEPPER)
+    tilted = ring.moved(
+        trimesh.transformations.rotation_matrix(1.2, [1, 0, 0])[:3, :3], np.array([0, 0, 0.5])
+    )
+    plate = card(-0.1, 0.0, 0.2, 0.2, "matt", 0.25)
+    free, half = observer(tilted).observe(CAMERA, AHEAD), observer(tilted, plate).observe(CAMERA, AHEAD)
+    assert free.visible_fraction[0] == 1.0
+    assert 0.3 < free.facing_fraction[0] < 0.95
+    # The plate hides the left half of a symmetric body.
+    assert half.visible_fraction[0] == pytest.approx(0.5, abs=0.01)
+    assert half.facing_fraction[0] == pytest.approx(free.facing_fraction[0] / 2, abs=0.01)
+
+
+def test_each_point_is_as_visible_as_for_another_ray_caster():
+    rng = np.random.default_rng(5)
+    blob = trimesh.util.concatenate(
+        [
+            trimesh.creation.icosphere(3, RADIUS_M).apply_translation(rng.uniform(-0.03, 0.03, 3))
+            for _ in range(3)
+        ]
+    )
+    leaves = [
+        card(*rng.uniform(-0.06, 0.06, 2), *rng.uniform(0.01, 0.05, 2), "matt", rng.uniform(0.1, 0.4))
+        for _ in range(12)
+    ]
+    fruit = body(blob, "matt", OrganClass.PEPPER).moved(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    tested = observer(fruit, *leaves, samples=256)
+    poses = [look_at(rng.uniform(-0.2, 0.2, 3), [0, 0, 0.5], [0, 1, 0]) for _ in range(6)]
+    seen = tested.observe(CAMERA, poses)
+    mesh = concatenate_meshes([fruit, *leaves])
+    caster = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
+    points, normals = tested.points.points[0, :256], tested.points.normals[0, :256]
+    visible = np.unpackbits(seen.seen, axis=1).astype(bool)
+    assert 0.05 < visible.mean() < 0.4
+    for pose, found in zip(poses, visible, strict=True):
+        away = points - pose[:3, 3]
+        distance = np.linalg.norm(away, axis=1)
+        hits, rays, _ = caster.intersects_location(np.tile(pose[:3, 3], (256, 1)), away / distance[:, None])
+        nearest = np.full(256, np.inf)
+        np.minimum.at(nearest, rays, np.linalg.norm(hits - pose[:3, 3], axis=1))
+        expected = (nearest > distance - 1e-4) & ((normals * away).sum(axis=1) < 0.0)
+        # Rays may pass an edge on different sides.
+        assert np.count_nonzero(found != expected) <= 1
+
+
+@pytest.mark.parametrize("x", [0.0, 0.38])
+def test_fractions_of_pixels_follow_a_distorting_lens(x):
+    lens = replace(CAMERA.lens, distortion=Distortion(k1=-0.2, k2=0.06, p1=2e-3, p2=-2e-3))
+    camera = replace(CAMERA, lens=lens)
+    # A plate over the left half, and the image's border at the right of the second ball.
+    plate = card(x / 2 - 0.1, 0.0, 0.2, 0.2, "matt", 0.25)
+    meshes = ball(x), plate
+    truth = Renderer(assemble_scene(concatenate_meshes(meshes))).render(camera, ["instance"])["instance"]
+    alone = Renderer(assemble_scene(ball(x))).render(camera, ["instance"])["instance"]
+    seen = observer(*meshes).observe(camera, AHEAD)
+    assert seen.visible_pixels[0] == pytest.approx((truth == 1).sum(), abs=0.01 * (alone == 1).sum())
+    assert seen.visible_fraction[0] == pytest.approx((truth == 1).sum() / (alone == 1).sum(), abs=0.01)
+
+
+def test_a_peduncle_and_its_cut_have_fractions_of_their_own():
+    # A vertical stalk of 4 cm, cut in its upper quarter; a plate hides all above its middle.
+    tube = trimesh.creation.cylinder(0.004, 0.04, sections=128)
+    tube.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    stalk = body(tube, "matt", OrganClass.PEDUNCLE).moved(np.eye(3), np.array([0.0, -0.05, 0.5]))
+    curve = np.array([[0.0, -0.07, 0.5], [0.0, -0.03, 0.5]])
+    tangent = np.array([0.0, 1.0, 0.0])
+    part = FruitPart(0, FruitStalk(1, -1, 0.004, curve, 0.04, np.array([0.0, -0.06, 0.5]), tangent))
+    plate = card(0.0, -0.125, 0.2, 0.2, "matt", 0.25)
+    free = observer(ball(), stalk, fruit=[part]).observe(CAMERA, AHEAD)
+    assert free.peduncle.tolist() == [1]
+    # The ball hides a part of its lower end.
+    assert free.peduncle_visible_fraction[0] == pytest.approx(1.0, abs=0.02)
+    assert free.cut_visible_fraction[0] == 1.0
+    seen = observer(ball(), stalk, plate, fruit=[part]).observe(CAMERA, AHEAD)
+    assert seen.visible_fraction[0] == 1.0
+    assert seen.peduncle_visible_fraction[0] == pytest.approx(0.5, abs=0.06)
+    assert seen.cut_visible_fraction[0] == 0.0
+
+
+def test_only_fruit_in_view_have_rows():
+    tested = observer(
+        ball(), ball(0.1), ball(5.0), fruit=[FruitPart(index) for index in range(3)], samples=64
+    )
+    away = look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
+    seen = tested.observe(CAMERA, [AHEAD, away, AHEAD])
+    assert seen.pose_index.tolist() == [0, 0, 2, 2]
+    assert seen.fruit_index.tolist() == [0, 1, 0, 1]
+    assert len(tested.observe(CAMERA, [away])) == 0
+    assert len(tested.observe(CAMERA, [away], occluders=True).occluders.row) == 0
+
+
+def test_parts_and_repetitions_give_the_same_bytes(monkeypatch):
+    rng = np.random.default_rng(2)
+    plates = [card(*rng.uniform(-0.06, 0.06, 2), 0.02, 0.02, "matt", 0.3) for _ in range(9)]
+    tested = observer(ball(), ball(0.1), *plates, fruit=[FIRST, FruitPart(1)], samples=128)
+    poses = [look_at(rng.uniform(-0.1, 0.1, 3), [0, 0, 0.5], [0, 1, 0]) for _ in range(20)]
+    done = []
+    whole = tested.observe(CAMERA, poses, occluders=True, on_progress=lambda *counts: done.append(counts))
+    assert done == [(20, 20)]
+    monkeypatch.setattr(observer_module, "_LANES", 1000)
+    monkeypatch.setattr(observer_module, "_POSES", 7)
+    parts = tested.observe(CAMERA, poses, occluders=True)
+    for name in observer_module.ROW_ARRAYS:
+        np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
+    for name in ("row", "instance", "fraction"):
+        np.testing.assert_array_equal(getattr(whole.occluders, name), getattr(parts.occluders, name))
+    shares = np.bincount(whole.occluders.row, whole.occluders.fraction, len(whole)) + whole.visible_fraction
+    np.testing.assert_allclose(shares, 1.0, atol=1e-9)
+
+
+def test_invalid_arguments_are_rejected():
+    scene = assemble_scene(ball(subdivisions=1))
+    with pytest.raises(ArgumentError, match="samples: must be a multiple of 64 above 0, not 100"):
+        FruitObserver(scene, 100, [FIRST])
+    with pytest.raises(ArgumentError, match="skeleton"):
+        FruitObserver(scene)
+    with pytest.raises(ArgumentError, match="has no fruit"):
+        FruitObserver(scene, fruit=[])
+    tested = FruitObserver(scene, 64, [FIRST])
+    with pytest.raises(ArgumentError, match="poses: must be at least one"):
+        tested.observe(CAMERA, np.zeros((0, 4, 4)))
+    with pytest.raises(ArgumentError, match="poses: pose 1 must be a rotation and a translation"):
+        tested.observe(CAMERA, [AHEAD, 2.0 * AHEAD])
+
+
+@pytest.fixture(scope="module")
+def plant():
+    """A plant alone, and cameras on the arc of the recipe."""
+    recipe = load_recipe("barth2018", {"row.plants_front": 1, "row.plants_back": 0})
+    frames = FrameRenderer(recipe, culled=False)
+    cameras = [frames.camera(recipe.plan.frame(step)) for step in (60, 125, 190)]
+    return frames.scene(recipe.plan.frame(0), traced=False), cameras
+
+
+def occluders_of(seen, row):
+    """What hides the fruit of a row: fractions by instance."""
+    rows = seen.occluders.row == row
+    instances, fractions = seen.occluders.instance[rows], seen.occluders.fraction[rows]
+    return dict(zip(instances.tolist(), fractions.tolist(), strict=True))
+
+
+def test_fractions_are_those_of_label_images(plant):
+    scene, cameras = plant
+    renderer = Renderer(scene)
+    seen = FruitObserver(scene, 4096).observe(cameras[0], [camera.pose for camera in cameras], occluders=True)
+    number = {
+        (pose, instance): row
+        for row, (pose, instance) in enumerate(
+            zip(seen.pose_index.tolist(), seen.fruit[seen.fruit_index].tolist(), strict=True)
+        )
+    }
+    errors, listed = [], 0
+    for pose, camera in enumerate(cameras):
+        frame = renderer.render(camera, ["harvest", "instance"])
+        for fruit in frame["harvest"]["fruit"]:
+            listed += 1
+            row = number[pose, fruit["instance"] - 1]
+            errors.append(seen.visible_fraction[row] - fruit["visible_fraction"])
+            pixels = (seen.visible_pixels[row] - fruit["visible_pixels"]) / fruit["amodal_pixels"]
+            assert abs(pixels) < 0.02
+            # Each organ hides as much of it.
+            whole = fruit["amodal_pixels"]
+            hidden = {one["instance"] - 1: one["pixels"] / whole for one in fruit["occluders"]}
+            found = occluders_of(seen, row)
+            for instance in hidden | found:
+                assert found.get(instance, 0.0) == pytest.approx(hidden.get(instance, 0.0), abs=0.02)
+            if fruit["peduncle"] is not None and not np.isnan(seen.peduncle_visible_fraction[row]):
+                stalk = scene.mesh.select_instances([fruit["peduncle"]["instance"] - 1])
+                alone = Renderer(assemble_scene(stalk)).render(camera, ["instance"])["instance"].astype(bool)
+                visible = frame["instance"] == fruit["peduncle"]["instance"]
+                share = visible[alone].mean() if alone.any() else 0.0
+                assert seen.peduncle_visible_fraction[row] == pytest.approx(share, abs=0.15)
+    assert listed >= 9
+    assert np.sqrt(np.mean(np.square(errors))) < 0.006
+
+
+def test_the_best_pose_is_that_of_label_images(plant):
+    scene, cameras = plant
+    seen = FruitObserver(scene, 1024).observe(cameras[0], [camera.pose for camera in cameras])
+    best = seen.best_poses()
+    assert (best >= 0).sum() >= 3
+    for fruit in np.flatnonzero(best >= 0):
+        rows = seen.fruit_index == fruit
+        of_best = seen.surface_fraction[rows & (seen.pose_index == best[fruit])]
+        assert of_best == seen.surface_fraction[rows].max()
