@@ -16,7 +16,7 @@ from pepperscene.render.surface.optics import STEP_NM, Optics
 from pepperscene.render.transport import lights
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
-from pepperscene.render.transport.trace import _intersect, _sum_samples
+from pepperscene.render.transport.trace import intersect, sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 NM = np.arange(360.0, 831.0, 5.0)
@@ -108,7 +108,7 @@ def first_hit_light(
 ) -> list[object]:
     """Flash and sun at the first hit, and the sky seen directly: by channel, or at wavelengths."""
     mi, _ = mitsuba_modules()
-    active, si, hit = _intersect(tables.scene, samples.ray, coherent=True)
+    active, si, hit = intersect(tables.scene, samples.ray, coherent=True)
     if wavelengths is None:
         assert tables.sun_optics is not None
         spectra, optics = tables.colours, (tables.flash_optics, tables.sun_optics)
@@ -142,7 +142,7 @@ def test_light_by_channel_equals_light_at_wavelengths(flash, monkeypatch):
         return [*by_channel, *first_hit_light(tables, samples, wavelengths)]
 
     # (runs, 6, pixels)
-    runs = np.array([_sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(24)])
+    runs = np.array([sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(24)])
     by_channel, at_wavelengths = runs[:, :3], runs[:, 3:]
     assert by_channel.any()
     change = (at_wavelengths - by_channel).mean(axis=2) / by_channel.mean(axis=(0, 2))

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.dataset.readers.image_set import ARRAYS, ImageSet
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS
 from pepperscene.dataset.readers.torch_objects import find_objects
@@ -21,9 +21,7 @@ from pepperscene.dataset.readers.torch_seeds import drawn_generator, global_seed
 from pepperscene.dataset.readers.torch_tensors import TensorTypes, image_tensor, label_tensor
 from pepperscene.errors import ArgumentError, InputError
 
-FIELDS: Final[Mapping[str, str]] = dict(
-    zip(ARRAY_KEYS, ("colour", "classes", "instances", "distance_m", "depth_z_m"), strict=True)
-)
+FIELDS: Final[Mapping[str, str]] = dict(zip(ARRAY_KEYS, ARRAYS, strict=True))
 """Field of `LabelledImage` by key of a sample."""
 
 

@@ -83,10 +83,10 @@ def trace(
     if tables.has_lights:
         first = min(sampling.indirect, sampling.samples)
         all_light = functools.partial(_all_light, bounces=sampling.bounces, most=sampling.most_bounces)
-        accumulator.add_all(_sum_samples(tables, None, 0, first, seed, all_light), first)
+        accumulator.add_all(sum_samples(tables, None, 0, first, seed, all_light), first)
     if sampling.samples > first:
         remaining = sampling.samples - first
-        accumulator.add_direct(_sum_samples(tables, None, first, remaining, seed, _direct_light), remaining)
+        accumulator.add_direct(sum_samples(tables, None, first, remaining, seed, _direct_light), remaining)
 
     if not tables.has_lights or sampling.required is None:
         return accumulator.light()
@@ -95,7 +95,7 @@ def trace(
     for _ in range(_REFINEMENT_ROUNDS):
         refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
         for begin, end, pixels in refinements:
-            sums = _sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
+            sums = sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
             accumulator.add_direct(sums, end - begin, pixels)
         if not refinements:
             break
@@ -110,7 +110,7 @@ def _refinements(taken: Counts, required: Counts) -> Iterator[tuple[int, int, ND
             yield begin, end, pixels[required[pixels] == end]
 
 
-def _sum_samples(
+def sum_samples(
     tables: FrameTables,
     pixels: NDArray[np.int64] | None,
     first: int,
@@ -146,7 +146,7 @@ def _sum_pass(
     seed: int,
     integrand: Callable[[FrameTables, Samples], list[Any]],
 ) -> list[Images]:
-    """The sums of `_sum_samples` for its pixels from one number to another, in the device's memory."""
+    """The sums of `sum_samples` for its pixels from one number to another, in the device's memory."""
     mi, dr = mitsuba_modules()
     start, end = limits
     salt, begin, per_pixel = (device_uint(n) for n in (seed & 0xFFFFFFFF, first, count))
@@ -167,19 +167,19 @@ def _sum_pass(
 
 def _direct_light(tables: FrameTables, samples: Samples) -> list[Any]:
     """Direct light: 3 c + 5 values."""
-    return _direct(tables, samples, *_intersect(tables.scene, samples.ray, coherent=True))
+    return _direct(tables, samples, *intersect(tables.scene, samples.ray, coherent=True))
 
 
 def _all_light(tables: FrameTables, samples: Samples, bounces: int, most: int = 0) -> list[Any]:
     """Direct and indirect light along the same camera rays: 4 c + 6 values."""
-    first_hit = _intersect(tables.scene, samples.ray, coherent=True)
+    first_hit = intersect(tables.scene, samples.ray, coherent=True)
     direct = _direct(tables, samples, *first_hit)
     return direct + _indirect(tables, samples, (bounces, most), *first_hit)
 
 
 def total_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
     """The sum of all light: c values, and nothing that their derivatives do not need."""
-    first_hit, c = _intersect(tables.scene, samples.ray, coherent=True), tables.channels
+    first_hit, c = intersect(tables.scene, samples.ray, coherent=True), tables.channels
     direct = _direct(tables, samples, *first_hit)[: 2 * c]
     indirect = _indirect(tables, samples, (bounces, 0), *first_hit)
     return [direct[k] + direct[c + k] + indirect[k] for k in range(c)]
@@ -275,7 +275,7 @@ def _arrive(
     """
     lights = wavelengths.spectra
     ray.wavelengths = wavelengths.nm
-    is_hit, si, hit = _intersect(tables.scene, ray, active)
+    is_hit, si, hit = intersect(tables.scene, ray, active)
     # No texel can be seen in scattered light, and a relief has its mean.
     point = tables.scene.surface_point(si, hit, active & is_hit, footprint=None)
     sky = samples.sky_radiance(ray.d, active & ~is_hit, lights, with_sun=False)
@@ -323,7 +323,7 @@ def _sum_of_squares(tables: FrameTables, channels: Any) -> Any:
     return sum(dr.square(channel * scale) for channel, scale in zip(channels, tables.per_white, strict=True))
 
 
-def _intersect(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:
+def intersect(scene: LightScene, ray: Any, active: Any = True, *, coherent: bool = False) -> Any:
     """Whether rays hit a surface, their surface interactions, and the preliminary hits."""
     hit = scene.scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
     is_hit = hit.is_valid()
