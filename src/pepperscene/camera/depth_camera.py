@@ -24,7 +24,10 @@ class StereoMatching:
         disparities: number of disparities that are compared, from 0; a multiple of 16. It limits the nearest
             depth.
         block_px: side of the block of pixels that is compared; odd.
+        refined_px: side of the window over which disparities are refined to fractions of a pixel; odd, or 0
+            for those of semi-global matching, which are drawn to whole pixels.
         uniqueness_percent: by how much the best cost must be below that of any other disparity.
+        least_correlation: of the two images in the window of `refined_px`; less is a hole.
         left_right_px: largest difference of the disparities that the left and the right image find for the
             same point; more is a hole.
         speckle_px: connected pixels of similar disparity that are holes if they are fewer; 0 keeps all.
@@ -32,8 +35,10 @@ class StereoMatching:
     """
 
     disparities: int = 128
-    block_px: int = 5
+    block_px: int = 7
+    refined_px: int = 9
     uniqueness_percent: int = 10
+    least_correlation: float = 0.5
     left_right_px: float = 1.0
     speckle_px: int = 100
     farthest_m: float = 10.0
@@ -41,8 +46,8 @@ class StereoMatching:
     def __post_init__(self) -> None:
         if self.disparities < 16 or self.disparities % 16:
             raise ValueError(f"disparities must be a multiple of 16, not {self.disparities}")
-        if self.block_px < 1 or self.block_px % 2 == 0:
-            raise ValueError(f"block_px must be odd, not {self.block_px}")
+        if self.block_px % 2 == 0 or (self.refined_px and self.refined_px % 2 == 0):
+            raise ValueError(f"block_px = {self.block_px} and refined_px = {self.refined_px} must be odd")
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,16 +21,19 @@ class MatchingTable(Document):
     """Settings of the matcher, as in `pepperscene.camera.StereoMatching`."""
 
     disparities: Annotated[int, Field(strict=True, ge=16, le=_MOST_DISPARITIES, multiple_of=16)] = 128
-    block_px: Annotated[int, Field(strict=True, ge=1, le=21)] = 5
+    block_px: Annotated[int, Field(strict=True, ge=1, le=21)] = 7
+    refined_px: Annotated[int, Field(strict=True, ge=0, le=51)] = 9
     uniqueness_percent: Annotated[int, Field(strict=True, ge=0, le=100)] = 10
+    least_correlation: Annotated[float, Field(strict=True, ge=-1, le=1)] = 0.5
     left_right_px: Annotated[float, Field(strict=True, ge=0, le=100)] = 1.0
     speckle_px: Annotated[int, Field(strict=True, ge=0, le=100_000)] = 100
     farthest_mm: Annotated[float, Field(strict=True, ge=10, le=1_000_000)] = 10_000.0
 
     @model_validator(mode="after")
-    def _check_block(self) -> MatchingTable:
-        if self.block_px % 2 == 0:
-            raise ValueError(f"block_px = {self.block_px} must be odd")
+    def _check_sides(self) -> MatchingTable:
+        for name, side in (("block_px", self.block_px), ("refined_px", self.refined_px)):
+            if side and side % 2 == 0:
+                raise ValueError(f"{name} = {side} must be odd")
         return self
 
 
