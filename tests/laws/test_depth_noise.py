@@ -1,8 +1,8 @@
 """The noise of a depth camera's depth, against published figures of the RealSense D435.
 
-Grunnet-Jepsen, Sweetser & Woodfill (Intel 2018, "Best-known-methods for tuning Intel RealSense D400 depth
-cameras for best performance"): the RMS of the depth of a plane is z^2 times a subpixel error over focal length
-and baseline, and the subpixel error of a well-textured plane is 0.05 to 0.1 pixels.
+The RMS of the depth of a plane is z^2 times a subpixel error over focal length and baseline, and the subpixel
+error of a well-textured plane is 0.05 to 0.1 pixels (Grunnet-Jepsen, Sweetser & Woodfill, Intel 2018:
+"Best-known-methods for tuning Intel RealSense D400 depth cameras for best performance").
 """
 
 from __future__ import annotations

@@ -27,7 +27,8 @@ class StereoMatching:
         refined_px: side of the window over which disparities are refined to fractions of a pixel; odd, or 0
             for those of semi-global matching, which are drawn to whole pixels.
         uniqueness_percent: by how much the best cost must be below that of any other disparity.
-        least_correlation: of the two images in the window of `refined_px`; less is a hole.
+        least_correlation: of the slopes of the two images in the window of `refined_px`; less is a hole. The
+            default is chosen: images of noise alone reach 0.38.
         left_right_px: largest difference of the disparities that the left and the right image find for the
             same point; more is a hole.
         speckle_px: connected pixels of similar disparity that are holes if they are fewer; 0 keeps all.
@@ -38,7 +39,7 @@ class StereoMatching:
     block_px: int = 7
     refined_px: int = 9
     uniqueness_percent: int = 10
-    least_correlation: float = 0.5
+    least_correlation: float = 0.4
     left_right_px: float = 1.0
     speckle_px: int = 100
     farthest_m: float = 10.0

@@ -22,8 +22,7 @@ _PREFILTER: Final = 63  # clipping of the horizontal gradients; as in OpenCV's e
 _REFINEMENTS: Final = 3  # chosen: a fourth changes disparities of a projected pattern by less than 0.005 px
 _LARGEST_CORRECTION_PX: Final = 1.0  # chosen: semi-global matching is right to a pixel
 _LEAST_GRADIENT: Final = 0.5
-"""Codes per pixel, root mean square over a window. Chosen: below the noise of any image."""
-_LEAST_VARIANCE: Final = 1.0 / 12.0  # squared codes: that of rounding to whole codes
+"""Codes per pixel, root mean square over a window. Chosen: that of rounded values without detail."""
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -104,22 +103,31 @@ def _disparities(left: Bytes, right: Bytes, settings: StereoMatching) -> Floats:
 
 
 def _correlation(disparity: Floats, left: Bytes, right: Bytes, window_px: int) -> Floats:
-    """`(h, w)` zero-mean normalised cross-correlation of windows of the images; -1 without a disparity."""
+    """`(h, w)` correlation of the slopes of both images along rows, in windows; -1 without a disparity.
+
+    Of slopes, because smooth shading, which both images have anywhere, correlates without a right match.
+    """
     cv2 = _opencv()
     known = np.isfinite(disparity)
     columns, rows = _pixel_grid(disparity)
     x = columns - np.where(known, disparity, np.float32(0.0))
-    first = left.astype(np.float32)
-    second = cv2.remap(right.astype(np.float32), x, rows, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    first, second = _slope(left.astype(np.float32)), _slope(right.astype(np.float32))
+    second = cv2.remap(second, x, rows, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
 
     def mean(image: Floats) -> Floats:
         return np.asarray(cv2.boxFilter(image, -1, (window_px, window_px)))
 
-    means = mean(first), mean(second)
-    covariance = mean(first * second) - means[0] * means[1]
-    variances = (mean(image**2) - m**2 for image, m in zip((first, second), means, strict=True))
-    variance = np.prod([np.maximum(value, np.float32(_LEAST_VARIANCE)) for value in variances], axis=0)
-    return np.where(known, np.clip(covariance / np.sqrt(variance), -1.0, 1.0), np.float32(-1.0))
+    # Weaker slopes than those of rounded values and noise count less.
+    weakest = np.float32(_LEAST_GRADIENT**2)
+    strength = np.sqrt((mean(first**2) + weakest) * (mean(second**2) + weakest))
+    correlation = mean(first * second) / strength
+    return np.where(known, np.clip(correlation, -1.0, 1.0), np.float32(-1.0)).astype(np.float32)
+
+
+def _slope(image: Floats) -> Floats:
+    """`(h, w)` central differences along rows, per pixel."""
+    cv2 = _opencv()
+    return np.asarray(cv2.Sobel(image, -1, 1, 0, ksize=1, scale=0.5, borderType=cv2.BORDER_REPLICATE))
 
 
 def _refined(disparity: Floats, left: Bytes, right: Bytes, window_px: int) -> Floats:
@@ -137,7 +145,7 @@ def _refined(disparity: Floats, left: Bytes, right: Bytes, window_px: int) -> Fl
     known = np.isfinite(disparity)
     start = found = np.where(known, disparity, np.float32(0.0)).astype(np.float32)
     first, second = left.astype(np.float32), right.astype(np.float32)
-    slope = cv2.Sobel(second, -1, 1, 0, ksize=1, scale=0.5, borderType=cv2.BORDER_REPLICATE)
+    slope = _slope(second)
     window = (window_px, window_px)
     for _ in range(_REFINEMENTS):
         shifted, gradient = (

@@ -24,7 +24,7 @@ class MatchingTable(Document):
     block_px: Annotated[int, Field(strict=True, ge=1, le=21)] = 7
     refined_px: Annotated[int, Field(strict=True, ge=0, le=51)] = 9
     uniqueness_percent: Annotated[int, Field(strict=True, ge=0, le=100)] = 10
-    least_correlation: Annotated[float, Field(strict=True, ge=-1, le=1)] = 0.5
+    least_correlation: Annotated[float, Field(strict=True, ge=-1, le=1)] = 0.4
     left_right_px: Annotated[float, Field(strict=True, ge=0, le=100)] = 1.0
     speckle_px: Annotated[int, Field(strict=True, ge=0, le=100_000)] = 100
     farthest_mm: Annotated[float, Field(strict=True, ge=10, le=1_000_000)] = 10_000.0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pepperscene.dataset.recipe.camera_tables import DevelopingTable
 from pepperscene.dataset.recipe.exposure import AUTO
-from pepperscene.dataset.recipe.load_camera import NamedFiles, load_camera, surface_wavelengths
+from pepperscene.dataset.recipe.load_camera import NamedFiles, load_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import NONE
 from pepperscene.errors import InputError
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 _DEVELOPING: Final = DevelopingTable(white_balance="daylight")
 """Depth cameras have no flash; everything else as by default."""
+
+_LEAST_DETECTED: Final = 1e-3
+"""Chosen: of the highest quantum efficiency; less is the leak of a filter that blocks the projector."""
 
 
 def load_depth_camera(
@@ -60,8 +63,7 @@ def load_depth_camera(
 
 def _check_detected(projector: Projector, sensor: Sensor, where: str | Path, key: str, name: str) -> None:
     """Raise `InputError` if an imager does not detect the projector."""
-    detected = surface_wavelengths(sensor)
-    if not detected[0] <= projector.wavelength_nm <= detected[-1]:
-        limits = f"{detected[0]:g} to {detected[-1]:g} nm"
-        problem = f"emits {projector.wavelength_nm:g} nm, but the imagers detect {limits}"
+    efficiency = sensor.quantum_efficiency
+    if not efficiency.at([projector.wavelength_nm]).max() >= _LEAST_DETECTED * efficiency.values.max():
+        problem = f"emits {projector.wavelength_nm:g} nm, which the imagers do not detect"
         raise InputError(where, problem, key=key, value=name)
