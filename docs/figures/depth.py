@@ -7,6 +7,7 @@ Frames are cached in the folder `pepperscene_depth` of the system's folder for t
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any, Final
@@ -39,7 +40,7 @@ def frame(name: str, projector: bool) -> ps.Dataset:
         changes["depth_camera.projector"] = "none"
     folder = CACHE / f"{list(CONDITIONS).index(name)}_{'on' if projector else 'off'}"
     recipe = ps.load_recipe("realsense_depth", changes)
-    ps.build(recipe, folder, [FRAME], OUTPUTS, ps.BuildOptions("standard"))
+    ps.build(recipe, folder, [FRAME], OUTPUTS, ps.BuildOptions("draft"))
     return ps.open_dataset(folder)
 
 
@@ -115,7 +116,7 @@ def detail(image: NDArray[np.uint8], text: str) -> Image.Image:
 def print_figures(dataset: ps.Dataset, text: str) -> None:
     """Holes and errors of the surfaces within 1.5 m, by class."""
     measured, exact, classes = (dataset.image(FRAME, n) for n in ("depth_sensor", "depth_z", "class"))
-    print(f"{text:32} {'holes':>7} {'median error':>13} {'within 2 %':>11}")
+    lines = [f"{text:32} {'holes':>7} {'median error':>13} {'within 2 %':>11}"]
     for name, ids in (
         ("all", range(8)), ("leaf", [1]), ("pepper", [2]), ("peduncle", [3]), ("stem", [4]), ("shoot", [5]),
         ("wire", [6]),
@@ -127,7 +128,9 @@ def print_figures(dataset: ps.Dataset, text: str) -> None:
         error = np.abs(measured[known] - exact[known])
         good = (error < 0.02 * exact[known]).mean() if known.any() else 0.0
         median_mm = 1000 * np.median(error) if known.any() else np.nan
-        print(f"  {name:30} {1 - known.sum() / chosen.sum():7.1%} {median_mm:10.1f} mm {good:11.1%}")
+        holes = 1 - known.sum() / chosen.sum()
+        lines.append(f"  {name:30} {holes:7.1%} {median_mm:10.1f} mm {good:11.1%}")
+    sys.stdout.write("\n".join([*lines, ""]))
 
 
 def main() -> None:

@@ -156,6 +156,7 @@ NAMES = {
     "lenses": "lensagon_cmfa0420nd_typical_distortion",
     "flashes": "led_matrix_200klx",
     "filters": "schott_22022010",
+    "projectors": "realsense_d435",
 }
 NARROW = {"angle_deg": [0, 0.1], "relative_intensity": [1, 0]}
 INVALID = [

@@ -32,10 +32,8 @@ def align_depth(depth_m: Floats, confidence: Floats, source: Camera, target: Cam
     z, corner = depth_m[row, column].astype(float), np.column_stack([column, row]).astype(float)
     first, near = _project(corner, z, source, target)
     last, far = _project(corner + 1.0, z, source, target)
-    # Pixels whose centres are between the corners, and at least the one in which the middle is.
-    middle = np.floor((first + last) / 2.0)
-    begin = np.minimum(np.ceil(np.minimum(first, last) - 0.5), middle)
-    end = np.maximum(np.floor(np.maximum(first, last) - 0.5), middle)
+    # From the pixel that holds one corner to that of the other, so that neighbours leave no gap.
+    begin, end = np.floor(np.minimum(first, last)), np.floor(np.maximum(first, last))
     known = np.isfinite(begin).all(-1) & np.isfinite(end).all(-1) & (np.minimum(near, far) > 0.0)
     known &= (end >= 0.0).all(-1) & (begin < (target.width, target.height)).all(-1)
     begin, end = (

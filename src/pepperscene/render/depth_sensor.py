@@ -136,7 +136,7 @@ def _metered(
     lit = left if projector is None else dataclasses.replace(left, flash=projector.flood())
     light = metered_light(
         scene,
-        kernel.light_scene,
+        kernel.imager_scene,
         kernel.coordinates,
         lit,
         int(seeds.generate_state(1)[0]),

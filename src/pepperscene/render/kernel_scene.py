@@ -49,6 +49,7 @@ class KernelScene:
         self.scene = scene
         # The last kernel scene of each kind, by its arguments.
         self._light: dict[tuple[float, float], LightScene] = {}
+        self._imagers: dict[tuple[float, float], LightScene] = {}
         self._path: dict[tuple[float, float, bool, Sky | None], PathScene] = {}
         self._slopes: dict[tuple[Any, ...], Any] = {}
 
@@ -152,7 +153,7 @@ class KernelScene:
             quality = dataclasses.replace(quality, most_bounces=0)
         quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
         adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
-        light_scene = self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
+        light_scene = self.imager_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
         rays = self.rays(camera)
         if camera.is_moving:
             rays = moving_rays(rays, camera.motion or Motion(), camera.shutter.exposures())
@@ -207,7 +208,7 @@ class KernelScene:
 
     def truth_scene(self) -> Any:
         """A Mitsuba scene to intersect: the one with materials if it exists."""
-        for light in self._light.values():
+        for light in (*self._light.values(), *self._imagers.values()):
             return light.scene
         return self._geometry
 
@@ -219,6 +220,18 @@ class KernelScene:
             # It serves the ground truth as well, so a copy of the geometry alone is not needed any more.
             self.__dict__.pop("_geometry", None)
         return self._light[key]
+
+    def imager_scene(self, first_nm: float, last_nm: float) -> LightScene:
+        """As `light_scene`, for the imagers of a depth camera, beside that of the camera.
+
+        Both are kept, because a frame traces both, and making one takes as long as a draft.
+        """
+        key = (first_nm, last_nm)
+        if key in self._light:
+            return self._light[key]
+        if key not in self._imagers:
+            self._imagers = {key: light_scene(self.scene, *key)}
+        return self._imagers[key]
 
 
 def _sampling(quality: Quality, adaptive: AdaptiveSampler) -> Sampling:

@@ -147,6 +147,9 @@ def depth_memory(
     left = depth_camera.left
     pixels = left.width * left.height
     traced = frame_memory(left, ("colour",), quality, triangles)
+    if any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS):
+        # The scene of the photograph, with its textures, is kept beside that of the imagers.
+        traced += int(_TEXTURES + _PER_TRIANGLE * triangles)
     return int(traced + pixels * (_PER_IMAGER + _PER_DISPARITY * depth_camera.matching.disparities))
 
 
