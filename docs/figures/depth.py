@@ -139,7 +139,7 @@ def main() -> None:
     for (name, on), dataset in sets.items():
         print_figures(dataset, f"{name}, pattern {'on' if on else 'off'}")
     names = list(CONDITIONS)
-    overview(sets[names[2], True]).save(IMAGES / "depth_camera.jpg", quality=88)
+    overview(sets[names[1], True]).save(IMAGES / "depth_camera.jpg", quality=85)
     details = [
         [
             detail(sets[name, True].image(FRAME, "imager_left"), f"{name}: left imager"),
@@ -149,7 +149,7 @@ def main() -> None:
         for name in names
     ]
     sheet(details).resize((1290, 728), Image.Resampling.LANCZOS).save(
-        IMAGES / "depth_pattern.jpg", quality=88
+        IMAGES / "depth_pattern.jpg", quality=85
     )
 
 
