@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from data_sets import set_without_plants
+from data_sets import D435, set_without_plants
 from stand_in import SIZE, StandIn
 
 from pepperscene.dataset import (
@@ -24,15 +24,6 @@ from pepperscene.dataset.export import export_dataset
 from pepperscene.errors import InputError
 from pepperscene.frame import Frame
 
-D435 = {
-    "depth_camera.sensor": "realsense_d435_infrared",
-    "depth_camera.lens": "realsense_d435_infrared",
-    "depth_camera.projector": "realsense_d435",
-    "depth_camera.width": 424,
-    "depth_camera.height": 240,
-    "depth_camera.baseline_mm": 50,
-    "depth_camera.position_mm": [15, 0, 0],
-}
 IMAGER = (5, 7)
 OUTPUTS = ("colour", "depth_z", "depth_sensor", "depth_confidence", "imager_left")
 HOLE = (2, 3)
