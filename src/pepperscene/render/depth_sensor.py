@@ -52,10 +52,9 @@ def depth_camera_images(
         SetupError: OpenCV is not installed, and a depth is requested.
     """
     seed, left_seeds, right_seeds = seeds.spawn(3)
-    control = depth_camera.exposure_control
+    control, unset = depth_camera.exposure_control, depth_camera.left
     if control is not None:
-        first = _metered(kernel, scene, depth_camera, quality, seed)
-        depth_camera = depth_camera.with_left(first)
+        depth_camera = depth_camera.with_left(_metered(kernel, scene, depth_camera, quality, seed))
 
     # Only the imagers that an output needs.
     has_depth = bool(_DEPTHS.intersection(requested))
@@ -69,7 +68,7 @@ def depth_camera_images(
     if control is not None:
         # Now that the dots are known, which are brighter than their mean.
         light = traced["imager_left"][0]
-        chosen = choose_exposure(depth_camera.left, light, np.zeros_like(light), control)
+        chosen = choose_exposure(unset, light, np.zeros_like(light), control)
         views = {
             name: dataclasses.replace(view, camera=with_exposure(view.camera, chosen))
             for name, view in views.items()

@@ -71,11 +71,6 @@ class RayPose:
         fixed = self.rotation @ vector
         return fixed if self.motion is None else self.motion.rotated(fixed, self.time)
 
-    def to_camera(self, vector: Any) -> Any:
-        """Turn a vector from world axes to camera axes."""
-        fixed = vector if self.motion is None else self.motion.rotated(vector, -self.time)
-        return self.rotation.T @ fixed
-
     @property
     def centre(self) -> Any:
         """Projection centre, local coordinates."""

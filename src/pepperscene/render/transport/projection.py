@@ -60,7 +60,7 @@ class ProjectorSampler:
     def irradiance(self, p: Any, pose: RayPose) -> Any:
         """W m-2 across the beam at points, over all wavelengths."""
         mi, dr = mitsuba_modules()
-        to_point = pose.to_camera(p - self.place(pose))
+        to_point = _to_camera(pose, p - self.place(pose))
         square = dr.maximum(dr.squared_norm(to_point), _MIN_DISTANCE**2)
         direction = to_point * dr.rsqrt(square)
         # The cell of the direction, and its neighbours: a dot reaches no further.
@@ -80,6 +80,12 @@ class ProjectorSampler:
                 dot = dr.gather(mi.Vector3f, self._directions, mi.UInt32(y * (self._columns + 2) + x))
                 total += dr.exp(-self._sharpness * dr.squared_norm(direction - dot))
         return dr.select(ahead, total * self._intensity / square, 0.0)
+
+
+def _to_camera(pose: RayPose, vector: Any) -> Any:
+    """Turn a vector from world axes to those of a camera at a pose."""
+    fixed = vector if pose.motion is None else pose.motion.rotated(vector, -pose.time)
+    return pose.rotation.T @ fixed
 
 
 def projected_light(
