@@ -440,6 +440,16 @@ def motion() -> Image.Image:
     return image
 
 
+def depth() -> Image.Image:
+    """An infrared image with dots, and the measured depth, from the picture of the page."""
+    page = np.asarray(Image.open(IMAGES / "depth_camera.jpg").convert("RGB"))
+    image = white()
+    for left, (row, column) in ((0, (0, 1)), (121, (1, 0))):
+        part = page[364 * row + 20 : 364 * row + 360, 644 * column + 100 : 644 * column + 540]
+        image.paste(fill(part, (119, HEIGHT)), (left, 0))
+    return image
+
+
 def cluster() -> Image.Image:
     """A build, its scheduler and workers, and the folder that all of them share."""
     figure, axes = canvas()
@@ -1108,8 +1118,9 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, build, camera, visibility, vary,
-    motion, read, learn, export, own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
+    quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, build, camera, visibility,
+    vary, motion, depth, read, learn, export, own_crop, cultivar, outputs, harvest, check, plants, rendering,
+    realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

@@ -90,6 +90,18 @@ _ALL: Final = (
     ),
     Output("stereo", "(h, w, 3)", "float32", "pixel displacement to the stereo camera, and visibility in it"),
     Output("colour_stereo", "(h, w, 3)", "uint8", "developed photograph of the stereo camera", traced=True),
+    Output(
+        "depth_sensor",
+        "(h, w)",
+        "float32",
+        "metres along the optical axis as the depth camera measures them; holes nan",
+        traced=True,
+    ),
+    Output(
+        "depth_confidence", "(h, w)", "float32", "agreement of the depth camera's images, 0 to 1", traced=True
+    ),
+    Output("imager_left", "(H, W)", "uint8", "image of the depth camera's left imager", traced=True),
+    Output("imager_right", "(H, W)", "uint8", "image of the depth camera's right imager", traced=True),
     Output("harvest", "", "dict", "masks, pose, ripeness, cut point and approach of each fruit in view"),
     Output(
         "amodal", "", "dict", "masks of all visible organs with their hidden parts, and visible fractions"
@@ -107,6 +119,9 @@ OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
 
 STEREO_OUTPUTS: Final = frozenset({"stereo", "colour_stereo"})
 """Outputs that need a stereo camera."""
+
+DEPTH_CAMERA_OUTPUTS: Final = frozenset({"depth_sensor", "depth_confidence", "imager_left", "imager_right"})
+"""Outputs that need a depth camera."""
 
 
 def needs_surfaces(names: Iterable[str]) -> bool:

@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 import tomli_w
 
-from pepperscene.camera import Filter, load_filter, load_flash, load_lens, load_sensor
+from pepperscene.camera import Filter, load_filter, load_flash, load_lens, load_projector, load_sensor
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum, sky_spectrum
 
 FOLDER = shipped_folder("materials")
-LOADERS = {"sensors": load_sensor, "lenses": load_lens, "flashes": load_flash, "filters": load_filter}
+LOADERS = {
+    "sensors": load_sensor,
+    "lenses": load_lens,
+    "flashes": load_flash,
+    "filters": load_filter,
+    "projectors": load_projector,
+}
 SHIPPED = [(kind, path.stem) for kind in LOADERS for path in sorted((FOLDER / kind).glob("*.toml"))]
 FILTERS = [name for kind, name in SHIPPED if kind == "filters"]
 NM = np.arange(300.0, 1201.0)
@@ -150,6 +156,7 @@ NAMES = {
     "lenses": "lensagon_cmfa0420nd_typical_distortion",
     "flashes": "led_matrix_200klx",
     "filters": "schott_22022010",
+    "projectors": "realsense_d435",
 }
 NARROW = {"angle_deg": [0, 0.1], "relative_intensity": [1, 0]}
 INVALID = [

@@ -8,9 +8,21 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from pepperscene.camera import Filter, Flash, Lens, Sensor, load_filter, load_flash, load_lens, load_sensor
+from pepperscene.camera import (
+    Filter,
+    Flash,
+    Lens,
+    Projector,
+    Sensor,
+    load_filter,
+    load_flash,
+    load_lens,
+    load_projector,
+    load_sensor,
+)
 from pepperscene.camera.flash import FlashDocument
 from pepperscene.camera.lens import LensDocument
+from pepperscene.camera.projector import ProjectorDocument
 from pepperscene.camera.sensor_files import FilterDocument, SensorDocument
 from pepperscene.scene.cover import Cover, CoverDocument, load_cover
 from pepperscene.shipped import shipped_folder
@@ -21,6 +33,7 @@ DEVICES = {
     "Lens": (load_lens, Lens, LensDocument, "lenses"),
     "Flash": (load_flash, Flash, FlashDocument, "flashes"),
     "Filter": (load_filter, Filter, FilterDocument, "filters"),
+    "Projector": (load_projector, Projector, ProjectorDocument, "projectors"),
     "Cover": (load_cover, Cover, CoverDocument, "covers"),
 }
 each_device = pytest.mark.parametrize("title", DEVICES)

@@ -14,6 +14,17 @@ from pepperscene.scene import assemble_scene
 
 TABLES = frozenset({"manifest.parquet", "fruit.parquet", "journal.jsonl"})
 
+D435 = {
+    "depth_camera.sensor": "realsense_d435_infrared",
+    "depth_camera.lens": "realsense_d435_infrared",
+    "depth_camera.projector": "realsense_d435",
+    "depth_camera.width": 424,
+    "depth_camera.height": 240,
+    "depth_camera.baseline_mm": 50,
+    "depth_camera.position_mm": [15, 0, 0],
+}
+"""Changes of a recipe that give it a depth camera."""
+
 OUTPUTS = ("colour", "class", "instance", "distance", "harvest")
 FRAMES = 9
 CUT = {"camera_m": [0.1, 0.0, 0.4], "world_m": [0.0, 0.0, 1.0], "px": [3.5, 1.25], "visible": True}

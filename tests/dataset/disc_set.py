@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
-from data_sets import set_without_plants
+from data_sets import D435, set_without_plants
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset import check_dataset, read_image, write_image
@@ -18,6 +18,7 @@ from pepperscene.truth.encodings import encode_rle
 
 HEIGHT, WIDTH = 150, 200
 FAR_M = 3.0
+IMAGER_SHAPE = 48, 64
 
 
 def draw_discs(height, width, rng, discs, radii=(5, 25), background=60.0):
@@ -39,7 +40,7 @@ class DiscRenderer:
     def __init__(self, scene):
         self.scene = scene
 
-    def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
+    def render(self, camera, outputs=(), quality="standard", seed=0, others=None, depth_camera=None):
         rng = np.random.default_rng([int(abs(camera.pose[0, 3]) * 1e9), int(camera.pose[2, 3] * 1e9)])
         noise = np.random.default_rng(seed)
         rows, columns = np.mgrid[:HEIGHT, :WIDTH]
@@ -54,6 +55,7 @@ class DiscRenderer:
         world = direction @ camera.pose[:3, :3].T
         with np.errstate(invalid="ignore"):
             position = camera.pose[:3, 3] + distance[..., None] * world
+        imager = noise.integers(0, 256, IMAGER_SHAPE).astype(np.uint8)
         images = {
             "colour": np.clip(grey, 0, 255).astype(np.uint8),
             "colour_stereo": np.clip(np.roll(grey, 5, 1), 0, 255).astype(np.uint8),
@@ -71,6 +73,10 @@ class DiscRenderer:
             "coverage": (classes[..., None] == np.arange(len(OrganClass))).astype(np.float16),
             "flow": np.stack([np.full(hit.shape, np.nan)] * 2 + [np.zeros(hit.shape)], -1).astype(np.float32),
             "stereo": np.stack([hit * 0 + 5, hit * 0, columns < WIDTH - 5], -1).astype(np.float32),
+            "depth_sensor": np.where(hit, distance * direction[..., 2], np.nan).astype(np.float32),
+            "depth_confidence": np.where(hit, 0.75, 0.0).astype(np.float32),
+            "imager_left": imager,
+            "imager_right": np.roll(imager, -5, 1),
             "harvest": {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}},
             "albedo": np.clip(grey / 255, 0, 1).astype(np.float16),
         }  # fmt: skip
@@ -79,6 +85,7 @@ class DiscRenderer:
         metadata = {
             "camera": {**camera.metadata(), "width": WIDTH, "height": HEIGHT, "binning": 2, "bits": 10},
             "instances": instance_entries(instance, classes),
+            "depth_camera": {"width": IMAGER_SHAPE[1], "height": IMAGER_SHAPE[0]},
         }
         return Frame({name: images[name] for name in outputs}, metadata)
 
@@ -113,7 +120,7 @@ def whole_discs(instance, classes):
 
 def make_disc_set(folder, outputs):
     """A correct data set of 6 frames."""
-    changes = {"plan.rotations": 1, "plan.frames": 3, "camera.baseline_mm": 60.0}
+    changes = {"plan.rotations": 1, "plan.frames": 3, "camera.baseline_mm": 60.0, **D435}
     set_without_plants(folder, range(6), outputs, DiscRenderer, changes)
     expected = {"intensity": [60, 140], "frame_intensity": [50, 150], "share": {"leaf": [0.05, 0.25]}}
     change_expectations(folder, **expected, saturated=0.01)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from data_sets import set_without_plants
+from data_sets import D435, set_without_plants
 
 from pepperscene.frame import Frame
 from pepperscene.truth import class_colour, distance_code
 from pepperscene.truth.encodings import encode_rle
 
 SIZE = (180, 240)
-ALL = ("colour", "class", "class_colour", "instance", "distance", "distance_code", "harvest")
+ALL = (
+    "colour", "class", "class_colour", "instance", "distance", "distance_code", "depth_sensor", "harvest",
+)  # fmt: skip
 FRAMES = (0, 3, 5, 9, 14, 20)
 """Of 2 sets x 3 rotations x 4 steps: four of the first set, two of the second."""
 
@@ -45,6 +47,7 @@ class Painter:
             "distance": distance,
             "distance_code": distance_code(distance),
             "harvest": harvest(rng, visible, {v: m for v, m in masks.items() if entries[v]["class"] == 2}),
+            "depth_sensor": np.where(distance < 1.0, distance, np.nan).astype(np.float32),
         }
         if "amodal" in outputs:
             images["amodal"] = amodal(instance, visible, masks)
@@ -149,7 +152,7 @@ def end_point(rng, kind):
 
 def make_painted_set(folder, outputs=ALL, frames=FRAMES, painter=Painter, changes=None):
     """Frames of two sets of plants."""
-    return set_without_plants(folder, frames, outputs, painter, changes)
+    return set_without_plants(folder, frames, outputs, painter, {**D435, **(changes or {})})
 
 
 def _draw(function, *arguments):

@@ -27,7 +27,7 @@ NEEDED = {
     **dict.fromkeys(("coco", "yolo", "yolo_detect", "yolo_pose"), "instance"),
 }  # fmt: skip
 """The label image of formats that read one only."""
-UNLABELLED = ("nerfstudio", "colmap", "rgbd")
+UNLABELLED = ("nerfstudio", "colmap", "rgbd", "rgbd_sensor")
 WITH_POINTS = ("nerfstudio", "colmap")
 """The points of a scene stay in memory, 40 bytes each, and 12 more for each frame that shows one."""
 

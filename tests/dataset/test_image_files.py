@@ -93,6 +93,8 @@ def test_objects_must_be_valid_json(tmp_path):
     [
         ("distance", ["distance"]),
         ("depth_z", ["depth_z"]),
+        ("depth_sensor", ["depth_sensor"]),
+        ("depth_confidence", ["depth_confidence"]),
         ("electrons", ["R", "G", "B"]),
         ("albedo", ["R", "G", "B"]),
         ("normal", ["X", "Y", "Z"]),

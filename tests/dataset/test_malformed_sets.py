@@ -9,7 +9,7 @@ import shutil
 
 import numpy as np
 import pytest
-from data_sets import set_without_plants
+from data_sets import D435, set_without_plants
 from pyarrow import parquet
 
 from pepperscene.colour import open_patches
@@ -27,7 +27,7 @@ from pepperscene.truth import distance_code
 from pepperscene.truth.encodings import encode_rle
 
 SIZE = (12, 16)
-OUTPUTS = ("colour", "class", "instance", "distance", "distance_code", "harvest")
+OUTPUTS = ("colour", "class", "instance", "distance", "distance_code", "depth_sensor", "harvest")
 PAINTED = [name for name in FORMATS if name not in ("bop", "rerun")]  # these need plants, and a large package
 FILES = ("dataset.json", "frames/000000.json", "harvest/000000.json")
 REMOVED = object()
@@ -63,6 +63,7 @@ class TwoFruit:
             "instance": instance,
             "distance": distance,
             "distance_code": distance_code(distance),
+            "depth_sensor": np.where(instance > 0, distance, np.float32(np.nan)),
             "harvest": {
                 "format": "pepperscene harvest 1",
                 "fruit": [self.fruit(7, instance == 7, 0.8), self.fruit(9, hidden, 0.2)],
@@ -120,7 +121,7 @@ def original(tmp_path_factory):
     pytest.importorskip("pycocotools", reason="the extra `export`")
     pytest.importorskip("cv2", reason="the extra `export`")
     folder = tmp_path_factory.mktemp("malformed") / "set"
-    set_without_plants(folder, range(2), OUTPUTS, TwoFruit)
+    set_without_plants(folder, range(2), OUTPUTS, TwoFruit, D435)
     return folder
 
 

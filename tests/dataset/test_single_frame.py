@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from data_sets import contents
 
-from pepperscene.dataset import BuildOptions, read_image, render_frame
+from pepperscene.dataset import BuildOptions, load_recipe, read_image, render_frame
 from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 
@@ -38,9 +38,10 @@ def test_returns_all_files_in_the_order_of_outputs(render, folder):
     assert [read_image(path).dtype for path in paths[1:3]] == [np.uint16, np.float32]
 
 
-def test_bytes_are_those_of_a_build(render, build_small, fake_renderer, tmp_path, folder):
-    render(outputs=tuple(OUTPUTS))
-    dataset = build_small("set", [5], tuple(OUTPUTS), renderer=fake_renderer).dataset
+def test_bytes_are_those_of_a_build(render, recipe, build_small, fake_renderer, tmp_path, folder):
+    recipe = recipe.model_copy(update={"depth_camera": load_recipe("realsense_depth").depth_camera})
+    render(outputs=tuple(OUTPUTS), recipe=recipe)
+    dataset = build_small("set", [5], tuple(OUTPUTS), recipe=recipe, renderer=fake_renderer).dataset
     for name, output in OUTPUTS.items():
         content = (folder / f"{name}{output.suffix}").read_bytes()
         assert content == (tmp_path / "set" / name / f"000005{output.suffix}").read_bytes(), name

@@ -478,7 +478,10 @@ def test_memory_does_not_grow_with_epochs(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"keys": ()}, "keys: must be some of image, mask, instances, distance, depth_z, not none"),
+        (
+            {"keys": ()},
+            "keys: must be some of image, mask, instances, distance, depth_z, depth_sensor, not none",
+        ),
         ({"keys": "depth"}, "keys: must be some of .*, not depth"),
         ({"keys": ("image", "name")}, "keys: must be some of .*, not name"),
         ({"keys": None}, "keys: must be some of .*, not None"),

@@ -9,7 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from pepperscene.camera import Camera, Distortion, arc_path, load_flash, load_lens, load_sensor
+from pepperscene.camera import (
+    Camera,
+    DepthCamera,
+    Developing,
+    Distortion,
+    ExposureControl,
+    StereoMatching,
+    arc_path,
+    load_flash,
+    load_lens,
+    load_projector,
+    load_sensor,
+)
 from pepperscene.cultivar import load_cultivar
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
 from pepperscene.geometry import Mesh, mesh_plant
@@ -77,6 +89,23 @@ def others(step: int = 1) -> dict[str, Camera]:
     pose = POSES[step].copy()
     pose[:3, 3] += 0.06 * pose[:3, 0]
     return {"flow": camera(2), "stereo": camera(step).at_pose(pose)}
+
+
+def depth_camera(step: int = 1) -> DepthCamera:
+    """A small depth camera beside the camera, with a projector and automatic exposure."""
+    left = Camera(
+        load_lens("realsense_d435_infrared"),
+        load_sensor("realsense_d435_infrared").with_size(106, 60),
+        POSES[step],
+        developing=Developing(white_balance="daylight"),
+    )
+    return DepthCamera(
+        left,
+        0.05,
+        load_projector("realsense_d435"),
+        StereoMatching(disparities=32),
+        ExposureControl(),
+    )
 
 
 def digests(frame: Frame) -> dict[str, str]:

@@ -16,7 +16,7 @@ from pepperscene.render.surface.optics import STEP_NM, Optics
 from pepperscene.render.transport import lights
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
-from pepperscene.render.transport.trace import _sum_samples
+from pepperscene.render.transport.trace import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 NM = np.arange(360.0, 831.0, 5.0)
@@ -142,7 +142,7 @@ def test_light_by_channel_equals_light_at_wavelengths(flash, monkeypatch):
         return [*by_channel, *first_hit_light(tables, samples, wavelengths)]
 
     # (runs, 6, pixels)
-    runs = np.array([_sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(24)])
+    runs = np.array([sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(24)])
     by_channel, at_wavelengths = runs[:, :3], runs[:, 3:]
     assert by_channel.any()
     change = (at_wavelengths - by_channel).mean(axis=2) / by_channel.mean(axis=(0, 2))

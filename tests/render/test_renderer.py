@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from greenhouse import camera, digests, fresh_digests, greenhouse, others
+from greenhouse import camera, depth_camera, digests, fresh_digests, greenhouse, others
 from processes import run_python
 
 from pepperscene.camera import expected_electrons
@@ -20,6 +20,12 @@ from pepperscene.scene import assemble_scene
 
 ALL = tuple(name for name in OUTPUTS if name != "harvest")  # which needs the plants' skeleton
 LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced)
+IMAGERS = ("imager_left", "imager_right")
+
+
+def further(step=1):
+    """The further cameras that all outputs need."""
+    return {"others": others(step), "depth_camera": depth_camera(step)}
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +43,7 @@ def used(scene):
 
 @pytest.fixture(scope="module")
 def frame(used):
-    return used.render(camera(), ALL, "standard", 5, others=others())
+    return used.render(camera(), ALL, "standard", 5, **further())
 
 
 @pytest.mark.parametrize("cores", [1, None], ids=["one core", "all cores"])
@@ -57,7 +63,7 @@ def test_frame_has_the_same_bytes_in_another_process(cores):
 
 
 def test_frame_has_the_same_bytes_from_a_new_renderer(scene, frame):
-    assert digests(Renderer(scene).render(camera(), ALL, "standard", 5, others=others())) == digests(frame)
+    assert digests(Renderer(scene).render(camera(), ALL, "standard", 5, **further())) == digests(frame)
 
 
 def test_repeated_frames_are_equal_and_finite(scene, used):
@@ -74,8 +80,8 @@ def test_repeated_frames_are_equal_and_finite(scene, used):
 
 @pytest.mark.parametrize("step", [0, 2])
 def test_renderer_can_be_reused_for_another_pose(scene, used, step):
-    moved = used.render(camera(step), ALL, "draft", 9, others=others(step))
-    fresh = Renderer(scene).render(camera(step), ALL, "draft", 9, others=others(step))
+    moved = used.render(camera(step), ALL, "draft", 9, **further(step))
+    fresh = Renderer(scene).render(camera(step), ALL, "draft", 9, **further(step))
     assert digests(moved) == digests(fresh)
     assert moved.metadata == fresh.metadata
 
@@ -88,13 +94,13 @@ def test_renderer_can_be_reused_for_another_lens_or_image_size(scene, used):
 
 @pytest.mark.parametrize("name", ALL)
 def test_output_does_not_depend_on_the_other_outputs(scene, frame, name):
-    alone = Renderer(scene).render(camera(), [name], "standard", 5, others=others())
+    alone = Renderer(scene).render(camera(), [name], "standard", 5, **further())
     assert set(alone.images) == {name}
     assert digests(alone)[name] == digests(frame)[name]
 
 
 def test_another_seed_changes_noise_but_no_labels(used, frame):
-    other = used.render(camera(), ALL, "standard", 6, others=others())
+    other = used.render(camera(), ALL, "standard", 6, **further())
     same = {name: digests(other)[name] == digests(frame)[name] for name in ALL}
     assert same == {name: not OUTPUTS[name].traced for name in ALL}
     # Before the sensor noise the two agree to a few per cent.
@@ -140,7 +146,8 @@ def test_images_match_their_specification(frame):
         assert OUTPUTS[name].fits(image), name
         if not OUTPUTS[name].is_image:
             continue
-        assert image.shape[:2] == (camera().sensor.site_shape if name == "raw" else (60, 80)), name
+        sizes = {"raw": camera().sensor.site_shape, **dict.fromkeys(IMAGERS, (60, 106))}
+        assert image.shape[:2] == sizes.get(name, (60, 80)), name
     # Plants and the sky are in view.
     assert {0, 1, 2, 4} <= set(np.unique(frame["class"]).tolist())
     assert np.isfinite(frame["electrons"]).all()

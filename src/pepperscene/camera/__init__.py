@@ -8,6 +8,8 @@ from pepperscene.camera.auto_exposure import (
     with_exposure,
 )
 from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
+from pepperscene.camera.depth_alignment import align_depth
+from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
 from pepperscene.camera.developing import (
     add_pedestal,
     camera_rgb,
@@ -30,15 +32,18 @@ from pepperscene.camera.paths import Trajectory, spline_trajectory, trajectory_f
 from pepperscene.camera.pose_files import PoseFormat, read_poses, write_poses
 from pepperscene.camera.pose_list import PoseList
 from pepperscene.camera.poses import arc_path, grid_poses, look_at, protocol_poses
+from pepperscene.camera.projector import Projector, load_projector
 from pepperscene.camera.readout import Developing
 from pepperscene.camera.sensor import Filter, Sensor
 from pepperscene.camera.sensor_files import load_filter, load_sensor
+from pepperscene.camera.stereo_matching import MatchedDepth, match_depth
 from pepperscene.camera.stray_light import Ghost, StrayLight
 
 __all__ = [
     "AngularProfile",
     "Camera",
     "ChosenExposure",
+    "DepthCamera",
     "Developing",
     "Distortion",
     "DistortionModel",
@@ -48,14 +53,18 @@ __all__ = [
     "Flash",
     "Ghost",
     "Lens",
+    "MatchedDepth",
     "Motion",
     "PoseFormat",
     "PoseList",
+    "Projector",
     "Sensor",
+    "StereoMatching",
     "StrayLight",
     "Trajectory",
     "add_pedestal",
     "add_stray_light",
+    "align_depth",
     "arc_path",
     "camera_rgb",
     "choose_exposure",
@@ -69,8 +78,10 @@ __all__ = [
     "load_filter",
     "load_flash",
     "load_lens",
+    "load_projector",
     "load_sensor",
     "look_at",
+    "match_depth",
     "metering_camera",
     "pedestal",
     "protocol_poses",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, Motion
+from pepperscene.camera import Camera, Motion, Projector
 from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
 from pepperscene.render.kernel.camera import (
     CameraRays,
@@ -23,13 +23,14 @@ from pepperscene.render.quality import Quality
 from pepperscene.render.reference.exposure import exposed_paths
 from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
 from pepperscene.render.transport.adaptive import AdaptiveSampler
-from pepperscene.render.transport.denoise import denoised
+from pepperscene.render.transport.denoise import denoised, denoised_indirect
 from pepperscene.render.transport.exposure import ExposurePart, exposure_parts, in_rows, sum_of_parts
 from pepperscene.render.transport.path_lengths import (
     has_daylight_alone,
     needs_long_paths,
     surface_triangles,
 )
+from pepperscene.render.transport.projection import PROJECTED_SAMPLES, projected_light
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Scene, Sky
 
@@ -48,6 +49,7 @@ class KernelScene:
         self.scene = scene
         # The last kernel scene of each kind, by its arguments.
         self._light: dict[tuple[float, float], LightScene] = {}
+        self._imagers: dict[tuple[float, float], LightScene] = {}
         self._path: dict[tuple[float, float, bool, Sky | None], PathScene] = {}
         self._slopes: dict[tuple[Any, ...], Any] = {}
 
@@ -128,6 +130,42 @@ class KernelScene:
         signal, samples = exposed_paths(scene, camera, quality, sampling)
         return signal, {"samples_per_pixel": samples}
 
+    def imager_light(
+        self,
+        camera: Camera,
+        projector: Projector | None,
+        quality: Quality,
+        sampling: np.random.SeedSequence,
+        scene: Scene,
+    ) -> TracedSignal:
+        """Trace the light of an imager of a depth camera; a projector's place is in the imager's axes.
+
+        The projector shines during the exposure, so all lights are traced together. Its light that is
+        scattered more than once is that of a projector without dots.
+
+        Raises:
+            ValueError: the scene has no surfaces.
+        """
+        check_surfaces(scene)
+        lit = camera if projector is None else dataclasses.replace(camera, flash=projector.flood())
+        response = spectral_response(lit, scene)
+        if not needs_long_paths(scene, response, self._surface_triangles):
+            quality = dataclasses.replace(quality, most_bounces=0)
+        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
+        adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
+        light_scene = self.imager_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
+        rays = self.rays(camera)
+        if camera.is_moving:
+            rays = moving_rays(rays, camera.motion or Motion(), camera.shutter.exposures())
+        seeds = sampling.generate_state(2).tolist()
+        sky = sky_tables(scene, response.grid_nm)
+        light = trace(light_scene, rays, response, lit.flash, sky, _sampling(quality, adaptive), seeds[0])
+        signal = light.sky_and_sun + (denoised_indirect(light) if quality.denoise else light.indirect)
+        if projector is not None:
+            samples = max(quality.samples, PROJECTED_SAMPLES)
+            signal += projected_light(light_scene, rays, response, projector, samples, seeds[1])
+        return signal, adaptive.metadata(light)
+
     def _trace_paths(
         self, camera: Camera, quality: Quality, response: SpectralResponse, seed: int, scene: Scene
     ) -> TracedSignal:
@@ -184,7 +222,7 @@ class KernelScene:
 
     def truth_scene(self) -> Any:
         """A Mitsuba scene to intersect: the one with materials if it exists."""
-        for light in self._light.values():
+        for light in (*self._light.values(), *self._imagers.values()):
             return light.scene
         return self._geometry
 
@@ -196,6 +234,18 @@ class KernelScene:
             # It serves the ground truth as well, so a copy of the geometry alone is not needed any more.
             self.__dict__.pop("_geometry", None)
         return self._light[key]
+
+    def imager_scene(self, first_nm: float, last_nm: float) -> LightScene:
+        """As `light_scene`, for the imagers of a depth camera, beside that of the camera.
+
+        Both are kept, because a frame traces both, and making one takes as long as a draft.
+        """
+        key = (first_nm, last_nm)
+        if key in self._light:
+            return self._light[key]
+        if key not in self._imagers:
+            self._imagers = {key: light_scene(self.scene, *key)}
+        return self._imagers[key]
 
 
 def _sampling(quality: Quality, adaptive: AdaptiveSampler) -> Sampling:

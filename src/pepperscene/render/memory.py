@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.camera import Camera
-from pepperscene.frame import OUTPUTS, needs_surfaces
+from pepperscene.camera import Camera, DepthCamera
+from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
 from pepperscene.render.variant import wanted_threads
@@ -75,6 +75,12 @@ _UV_PIXELS, _PER_UV_PIXEL = 1 << 20, 350.0
 """Pixels whose surface coordinates are computed at a time, as in `pepperscene.render.aov.labels`, and bytes
 of each; measured 330 to 380."""
 
+_PER_IMAGER: Final = 60.0
+"""Bytes per pixel of the light of the first imager while the second is traced, and of both images; chosen:
+fifteen values."""
+_PER_DISPARITY: Final = 4.0
+"""Bytes per pixel and disparity of semi-global matching: its costs are two 16-bit numbers."""
+
 _DENOISER_TILE: Final = 2160 * 2160
 """Pixels that Open Image Denoise filters at a time, at most: it divides larger images into tiles."""
 _DENOISER_OVERLAP: Final = 192
@@ -102,9 +108,9 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
     pixels, labels = camera.width * camera.height, [name for name in outputs if not OUTPUTS[name].traced]
     total = _PROCESS + _PER_TRIANGLE * triangles
     per_pixel = 0.0
-    if needs_surfaces(outputs):
+    if needs_surfaces(set(outputs) - DEPTH_CAMERA_OUTPUTS):
         total += _TEXTURES
-    if any(OUTPUTS[name].traced for name in outputs):
+    if any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS):
         # The loop of longer paths has the code of one bounce.
         bounces = quality.bounces + (quality.most_bounces > 0)
         total += _device_memory(camera, quality) + _PER_BOUNCE * (bounces - 1)
@@ -137,6 +143,21 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
         total += _PER_UV_PIXEL * min(pixels, _UV_PIXELS)
     total += per_pixel * pixels + sum(_image_size(name, camera) for name in outputs)
     return int(_MARGIN * total)
+
+
+def depth_memory(
+    depth_camera: DepthCamera, outputs: Collection[str], quality: Quality, triangles: int
+) -> int:
+    """Bytes that a process takes at most for the outputs of a depth camera; 0 without such outputs."""
+    if not DEPTH_CAMERA_OUTPUTS.intersection(outputs):
+        return 0
+    left = depth_camera.left
+    pixels = left.width * left.height
+    traced = frame_memory(left, ("colour",), quality, triangles)
+    if any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS):
+        # The scene of the photograph, with its textures, is kept beside that of the imagers.
+        traced += int(_TEXTURES + _PER_TRIANGLE * triangles)
+    return int(traced + pixels * (_PER_IMAGER + _PER_DISPARITY * depth_camera.matching.disparities))
 
 
 def written_memory(camera: Camera, outputs: Collection[str]) -> int:

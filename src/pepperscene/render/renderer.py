@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import (
     Camera,
     ChosenExposure,
+    DepthCamera,
     ExposureControl,
     add_stray_light,
     choose_exposure,
@@ -23,8 +24,15 @@ from pepperscene.camera import (
     raw_frame,
     with_exposure,
 )
-from pepperscene.errors import InputError
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, STEREO_OUTPUTS, Frame, check_outputs
+from pepperscene.errors import ArgumentError, InputError
+from pepperscene.frame import (
+    DEFAULT_OUTPUTS,
+    DEPTH_CAMERA_OUTPUTS,
+    OUTPUTS,
+    STEREO_OUTPUTS,
+    Frame,
+    check_outputs,
+)
 from pepperscene.render.aov import labels
 from pepperscene.render.kernel.camera import label_rays
 from pepperscene.render.kernel_scene import KernelScene
@@ -52,6 +60,7 @@ def render_scene(
     seed: int = 0,
     target_error: float | None = None,
     others: Mapping[str, Camera] | None = None,
+    depth_camera: DepthCamera | None = None,
 ) -> Frame:
     """Render one frame of a scene; for several frames of the same scene keep a `Renderer`.
 
@@ -65,12 +74,15 @@ def render_scene(
             noise at which sampling stops.
         others: further cameras of the same scene: "flow", the target of the output `flow` (without it there
             is no flow), and "stereo", the partner of `stereo` and `colour_stereo`.
+        depth_camera: of `depth_sensor` and the other `DEPTH_CAMERA_OUTPUTS`, at its pose.
 
     Raises:
-        InputError: unknown output or quality, target out of range, or missing partner.
+        InputError: unknown output or quality, target out of range, missing partner or depth camera.
         SetupError: no JIT variant of Mitsuba runs on this machine.
     """
-    return Renderer(scene).render(camera, outputs, quality, seed, target_error, others)
+    return Renderer(scene).render(
+        camera, outputs, quality, seed, target_error, others, depth_camera=depth_camera
+    )
 
 
 class Renderer:
@@ -95,6 +107,7 @@ class Renderer:
         *,
         sky: FrameSky = "scene",
         exposure_control: ExposureControl | None = None,
+        depth_camera: DepthCamera | None = None,
     ) -> Frame:
         """Render one frame; see `render_scene` for the other arguments.
 
@@ -108,13 +121,17 @@ class Renderer:
         """
         requested = check_outputs(outputs)
         others = _check_others(requested, others or {})
+        depths = DEPTH_CAMERA_OUTPUTS.intersection(requested)
+        if depths and depth_camera is None:
+            raise ArgumentError("depth_camera", f"is required for the output {min(depths)}")
         quality = resolve_quality(quality, target_error)
         scene = self._under(sky)
         images: dict[str, Any] = {}
         described: dict[str, Any] = {}
 
-        # Labels do not depend on the exposure.
-        if exposure_control is not None and any(OUTPUTS[name].traced for name in requested):
+        # Labels do not depend on the exposure, nor does the depth camera.
+        own = set(requested) - depths
+        if exposure_control is not None and any(OUTPUTS[name].traced for name in own):
             chosen = self.meter(camera, exposure_control, seed, sky, quality)
             camera = with_exposure(camera, chosen)
             others = {name: with_exposure(other, chosen) for name, other in others.items()}
@@ -122,7 +139,7 @@ class Renderer:
             described["auto_exposure"] = target | dataclasses.asdict(chosen)
 
         # Light first: its kernel scene then serves the ground truth as well.
-        if any(OUTPUTS[name].traced and name not in STEREO_OUTPUTS for name in requested):
+        if any(OUTPUTS[name].traced for name in own - STEREO_OUTPUTS):
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
             signal, described["sampling"] = self._kernel.trace(camera, quality, sampling, scene)
             images |= _photographs(requested, signal, camera, noise)
@@ -132,6 +149,14 @@ class Renderer:
             partner = others["stereo"]
             signal, described["sampling_stereo"] = self._kernel.trace(partner, quality, sampling, scene)
             images["colour_stereo"] = _photographs(("colour",), signal, partner, noise)["colour"]
+        if depths and depth_camera is not None:
+            from pepperscene.render.depth_sensor import depth_camera_images
+
+            # The fourth branch of the frame's seed.
+            seeds = np.random.SeedSequence(seed).spawn(4)[3]
+            measured = depth_camera_images(self._kernel, scene, camera, depth_camera, depths, quality, seeds)
+            images |= measured[0]
+            described |= measured[1]
         if set(requested) & STEREO_OUTPUTS:
             described["stereo_pose"] = others["stereo"].pose.tolist()
 

@@ -61,7 +61,7 @@ def check_values(
     # Comparisons with nan are False, as required here, and need no warning.
     with np.errstate(invalid="ignore", over="ignore"):
         surfaces = partial(_check_surfaces, ignored=ignored)
-        for check in (_check_distances, surfaces, _check_light, _check_flow):
+        for check in (_check_distances, _check_measured_depth, surfaces, _check_light, _check_flow):
             for output, problem, pixels in check(images, sky, metadata):
                 if pixels.any():
                     yield "value", output, f"{np.count_nonzero(pixels)} pixels {problem}"
@@ -95,6 +95,21 @@ def _check_distances(images: Mapping[str, Any], sky: Any, metadata: Mapping[str,
             difference = np.abs(np.sqrt(np.square(position - pose[:3, 3]).sum(-1)) - distance)
             wrong = difference > _TOLERANCE * (1 + distance)
             yield "position", "have a position at another distance from the camera", wrong
+
+
+def _check_measured_depth(
+    images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]
+) -> Iterator[Problem]:
+    depth, confidence = (images.get(name) for name in ("depth_sensor", "depth_confidence"))
+    if depth is not None:
+        # Holes are not a number.
+        yield "depth_sensor", "have a depth of 0 or below, or an infinite one", (depth <= 0) | np.isinf(depth)
+    if confidence is not None:
+        wrong = ~((confidence >= 0) & (confidence <= 1))
+        yield "depth_confidence", "have a confidence outside 0 to 1", wrong
+        if depth is not None:
+            wrong = np.isnan(depth) & (confidence > 0)
+            yield "depth_confidence", "have a confidence where no depth is measured", wrong
 
 
 def _check_surfaces(

@@ -232,11 +232,21 @@ def _wrong_shapes(images: Mapping[str, Any], metadata: Mapping[str, Any]) -> lis
             actual = f"{image.shape} {image.dtype}" if hasattr(image, "dtype") else type(image).__name__
             problems.append((output, f"is {actual}, must be {expected.shape} {expected.dtype}"))
         elif expected.is_image:
-            rows, columns = _site_shape(metadata, height, width) if output == "raw" else (height, width)
+            rows, columns = _expected_size(output, metadata, (height, width))
             if image.shape[:2] != (rows, columns):
                 problem = f"has {image.shape[1]}x{image.shape[0]} pixels, the camera has {columns}x{rows}"
                 problems.append((output, problem))
     return problems
+
+
+def _expected_size(output: str, metadata: Mapping[str, Any], size: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns that an output must have in a frame of this size."""
+    if output == "raw":
+        return _site_shape(metadata, *size)
+    if output in ("imager_left", "imager_right"):
+        imager = {"camera": json_object(metadata, "depth_camera")}
+        return camera_integer(imager, "height"), camera_integer(imager, "width")
+    return size
 
 
 def _site_shape(metadata: Mapping[str, Any], height: int, width: int) -> tuple[int, int]:

@@ -21,7 +21,7 @@ from pepperscene.dataset.store.dataset import FORMAT
 from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
-from pepperscene.dataset.views.camera_views import check_partner
+from pepperscene.dataset.views.camera_views import check_further_cameras
 from pepperscene.frame import Frame, check_outputs
 from pepperscene.truth import class_pixel_counts
 from pepperscene.version import __version__
@@ -86,7 +86,7 @@ class BuildJob:
         names = check_outputs(outputs)
         resolve_quality(options.quality, options.target_error)
         resolved = resolve_recipe(recipe, seed=options.seed)
-        check_partner(resolved.recipe, names)
+        check_further_cameras(resolved.recipe, names)
         path = Path(folder).absolute()
         return cls(resolved, path, names, options.quality, options.target_error, options.renderer)
 

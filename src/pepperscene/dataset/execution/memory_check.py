@@ -83,10 +83,13 @@ def _check_limits(job: BuildJob, processes: int, frames: int, limits: tuple[Memo
 def _process_memory(job: BuildJob, triangles: int, frames: int) -> int:
     """Bytes that one process takes at most."""
     from pepperscene.render import resolve_quality
-    from pepperscene.render.memory import frame_memory, written_memory
+    from pepperscene.render.memory import depth_memory, frame_memory, written_memory
 
     quality, cameras = resolve_quality(job.quality, job.target_error), _cameras(job)
     needed = max(frame_memory(camera, job.outputs, quality, triangles) for camera in cameras)
+    if job.recipe.depth_camera is not None:
+        depth_camera = job.recipe.depth_camera
+        needed = max(needed, depth_memory(depth_camera, job.outputs, quality, triangles))
     if isinstance(job.recipe.recipe.views, RandomViews):
         needed += _SEARCH_TREE_BYTES * triangles
     return needed + (max(written_memory(camera, job.outputs) for camera in cameras) if frames > 1 else 0)

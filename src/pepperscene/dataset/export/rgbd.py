@@ -8,7 +8,7 @@ https://www.ros.org/reps/rep-0118.html, for depth images of 16 bits in millimetr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +18,7 @@ from pepperscene.camera import Camera, PoseList, write_poses
 from pepperscene.camera.calibration import CENTRE_OF_FIRST_PIXEL
 from pepperscene.camera.distortion import MODELS
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
+from pepperscene.dataset.export.recorded_camera import recorded_camera
 from pepperscene.dataset.export.sequences import open_groups, sequence_groups
 from pepperscene.dataset.export.surface import read_surface
 from pepperscene.dataset.recipe.plan import Plan
@@ -28,6 +29,9 @@ STEP_S: Final = 1.0
 
 _IMAGES: Final = ("rgb", "depth")
 
+DepthOf = Callable[[ExportFrame, Camera], bytes]
+"""The content of the depth image of a frame with this camera."""
+
 
 def write_rgbd(job: ExportJob, folder: Path) -> None:
     """Write `rgb/000110.png`, `depth/000110.png`, `camera_info.yaml` and tables of times of each sequence.
@@ -36,30 +40,34 @@ def write_rgbd(job: ExportJob, folder: Path) -> None:
     `rgb.txt` and `depth.txt` list the images by time, `associations.txt` their pairs, and `groundtruth.txt`
     the poses, camera to world. Depths are along the optical axis, in millimetres, 0 for none.
     """
+    write_depths(job, folder, lambda frame, _: read_surface(frame).depth_png())
+
+
+def write_depths(job: ExportJob, folder: Path, depth_of: DepthOf) -> None:
+    """Write the files of `write_rgbd` with depth images of any kind."""
     plan = Plan.model_validate(job.dataset.info["recipe"]["plan"])
     for place, indices, frames in open_groups(job, folder, sequence_groups(job)):
         times = [STEP_S * plan.frame(index).step for index in indices]
-        camera, poses = _write_images(place, frames)
+        camera, poses = _write_images(place, frames, depth_of)
         (place / "camera_info.yaml").write_text(_camera_info(camera), encoding="utf-8")
         write_poses(place / "groundtruth.txt", PoseList(np.array(poses), np.array(times)), "tum")
         _write_tables(place, times, [f"{index:06d}.png" for index in indices])
 
 
-def _write_images(place: Path, frames: Iterable[ExportFrame]) -> tuple[Camera, list[Any]]:
+def _write_images(place: Path, frames: Iterable[ExportFrame], depth_of: DepthOf) -> tuple[Camera, list[Any]]:
     """Write the images of a sequence, and return its camera and poses; the camera must be one."""
     for name in _IMAGES:
         (place / name).mkdir()
     first: Camera | None = None
     poses = []
     for frame in frames:
-        surface = read_surface(frame)
-        camera = surface.camera
+        camera = recorded_camera(frame)
         first = first or camera
         if _camera_info(camera) != _camera_info(first):
             problem = "must be the same in all frames of a sequence, which has one camera_info.yaml"
             raise InputError(frame.dataset.frame_path(frame.index), problem, key="camera")
         (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
-        (place / "depth" / f"{frame.name}.png").write_bytes(surface.depth_png())
+        (place / "depth" / f"{frame.name}.png").write_bytes(depth_of(frame, camera))
         poses.append(camera.pose)
     assert first is not None  # no group is empty
     return first, poses

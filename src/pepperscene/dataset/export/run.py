@@ -83,6 +83,7 @@ FORMATS: Final = MappingProxyType(
         "colmap": ExportFormat((("colour",), DEPTH_OUTPUTS), has_masks=True),
         "ply": ExportFormat((("colour",), DEPTH_OUTPUTS, ("class",), ("instance",))),
         "rgbd": ExportFormat((("colour",), DEPTH_OUTPUTS)),
+        "rgbd_sensor": ExportFormat((("colour",), ("depth_sensor",))),
         "rerun": ExportFormat(
             (("colour",), DEPTH_OUTPUTS, ("class",), ("instance",)), "rerun", 1, extra="rerun"
         ),

@@ -57,8 +57,13 @@ class RangeImage:
 
         0 is "no depth": no surface, or one beyond 65.535 m.
         """
-        depth_mm = np.rint(MILLIMETRES * self.depth_z)
-        return png_bytes(np.where(depth_mm <= MOST_MM, depth_mm, 0).astype(np.uint16))
+        return depth_png(self.depth_z)
+
+
+def depth_png(depth_m: NDArray[np.floating[Any]]) -> bytes:
+    """A PNG of 16 bits: depths in millimetres, 0 for none, nan and those beyond 65.535 m."""
+    depth_mm = np.rint(MILLIMETRES * depth_m)
+    return png_bytes(np.where(depth_mm <= MOST_MM, depth_mm, 0).astype(np.uint16))
 
 
 def read_surface(frame: ExportFrame) -> RangeImage:
@@ -73,7 +78,7 @@ def read_surface(frame: ExportFrame) -> RangeImage:
     image = np.asarray(frame.image(output), dtype=float)
     path = frame.dataset.path(frame.index, output)
     if image.shape != (camera.height, camera.width):
-        raise _size_error(path, (camera.height, camera.width), image.shape)
+        raise size_error(path, (camera.height, camera.width), image.shape)
     if not (image >= 0).all():
         # Written so that nan fails too.
         raise InputError(path, "must hold depths from 0 metres, inf for none")
@@ -85,7 +90,7 @@ def read_colour(frame: ExportFrame, surface: RangeImage) -> NDArray[np.uint8]:
     colour: NDArray[np.uint8] = frame.image("colour")
     if colour.shape[:2] != surface.distance.shape:
         path = frame.dataset.path(frame.index, "colour")
-        raise _size_error(path, surface.distance.shape, colour.shape)
+        raise size_error(path, surface.distance.shape, colour.shape)
     return colour
 
 
@@ -93,7 +98,7 @@ def read_label(frame: ExportFrame, output: str, surface: RangeImage) -> NDArray[
     """A label image `(h, w)` of a frame; raises `InputError` if it has another size than its surface."""
     image: NDArray[Any] = frame.image(output)
     if image.shape != surface.distance.shape:
-        raise _size_error(frame.dataset.path(frame.index, output), surface.distance.shape, image.shape)
+        raise size_error(frame.dataset.path(frame.index, output), surface.distance.shape, image.shape)
     return image
 
 
@@ -107,7 +112,8 @@ def mask_png(frame: ExportFrame, surface: RangeImage) -> bytes:
     return png_bytes(np.where(valid_pixels(frame, surface), np.uint8(255), np.uint8(0)))
 
 
-def _size_error(path: Path, expected: tuple[int, ...], found: tuple[int, ...]) -> InputError:
+def size_error(path: Path, expected: tuple[int, ...], found: tuple[int, ...]) -> InputError:
+    """The error of an image of another size, in rows and columns, than its camera has."""
     wanted = f"{expected[1]} x {expected[0]} pixels, as the frame's camera"
     return InputError(path, f"must have {wanted}, not {found[1]} x {found[0]}")
 

@@ -18,7 +18,10 @@ VOID: Final = IGNORE_CLASS
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 
-FIELDS: Final = ("colour", "classes", "instances", "distance_m", "depth_z_m", "metadata")
+ARRAYS: Final = ("colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m")
+"""Fields of `LabelledImage` that are arrays of the image's size."""
+
+FIELDS: Final = (*ARRAYS, "metadata")
 """Fields of `LabelledImage` that a reader reads or skips."""
 
 
@@ -33,6 +36,8 @@ class LabelledImage:
         instances: `(h, w)` uint16, 0 where there is none.
         distance_m: `(h, w)` float32, metres along the ray from the projection centre, inf for none.
         depth_z_m: `(h, w)` float32, metres along the optical axis, inf for none.
+        depth_sensor_m: `(h, w)` float32, metres along the optical axis as a depth camera measured them, nan
+            for holes.
         metadata: further metadata: the JSON of a rendered frame, the files of an image in a folder.
     """
 
@@ -42,6 +47,7 @@ class LabelledImage:
     instances: NDArray[np.uint16] | None = None
     distance_m: NDArray[np.float32] | None = None
     depth_z_m: NDArray[np.float32] | None = None
+    depth_sensor_m: NDArray[np.float32] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -50,7 +56,7 @@ class LabelledImage:
             raise ValueError(f"{self.name}: its images differ in size, {sorted(sizes)}")
 
     def _sizes(self) -> set[tuple[int, int]]:
-        arrays = (self.colour, self.classes, self.instances, self.distance_m, self.depth_z_m)
+        arrays = [getattr(self, name) for name in ARRAYS]
         return {(array.shape[0], array.shape[1]) for array in arrays if array is not None}
 
     @property

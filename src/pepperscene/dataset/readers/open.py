@@ -27,6 +27,7 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
     "instances": (("instance", None),),
     "distance_m": (("distance", None), ("distance_code", distance_from_code)),
     "depth_z_m": (("depth_z", None),),
+    "depth_sensor_m": (("depth_sensor", None),),
 }
 """Outputs that a field can be read from, the best first, and how to decode them."""
 

@@ -68,8 +68,8 @@ class Augmentation:
         """A changed copy of a sample.
 
         Args:
-            sample: as `torch_images` returns it: `image` (3, h, w) uint8, `mask`, `instances`, `distance`
-                and `depth_z` (h, w); other keys are copied. The types of the tensors are kept.
+            sample: as `torch_images` returns it: `image` (3, h, w) uint8, `mask`, `instances`, `distance`,
+                `depth_z` and `depth_sensor` (h, w); other keys are copied. The types of the tensors are kept.
             rng: source of the random numbers; None seeds one from torch's generator, which a `DataLoader`
                 seeds differently in each worker.
 

@@ -24,8 +24,9 @@ _PADDING: Final[Mapping[str, float]] = {
     "instances": 0,
     "distance": np.inf,
     "depth_z": np.inf,
+    "depth_sensor": np.nan,
 }
-"""Value of pixels outside the original image: black, void, no organ, nothing."""
+"""Value of pixels outside the original image: black, void, no organ, nothing, a hole."""
 
 
 @final

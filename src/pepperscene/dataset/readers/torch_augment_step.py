@@ -13,9 +13,9 @@ from pepperscene.errors import ArgumentError
 
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays of one sample by key: `image` (h, w, 3) uint8 in sRGB; `mask`, `instances`, `distance`, `depth_z`,
-each (h, w). All have the same height and width; any of them may be missing."""
+`depth_sensor`, each (h, w). All have the same height and width; any of them may be missing."""
 
-ARRAY_KEYS: Final = ("image", "mask", "instances", "distance", "depth_z")
+ARRAY_KEYS: Final = ("image", "mask", "instances", "distance", "depth_z", "depth_sensor")
 
 
 class AugmentationStep(ABC):

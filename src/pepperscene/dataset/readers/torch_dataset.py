@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.dataset.readers.image_set import ARRAYS, ImageSet
 from pepperscene.dataset.readers.mask_classes import MaskClasses
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS
@@ -23,9 +23,7 @@ from pepperscene.dataset.readers.torch_seeds import drawn_generator, global_seed
 from pepperscene.dataset.readers.torch_tensors import TensorTypes, image_tensor, label_tensor
 from pepperscene.errors import ArgumentError, InputError
 
-FIELDS: Final[Mapping[str, str]] = dict(
-    zip(ARRAY_KEYS, ("colour", "classes", "instances", "distance_m", "depth_z_m"), strict=True)
-)
+FIELDS: Final[Mapping[str, str]] = dict(zip(ARRAY_KEYS, ARRAYS, strict=True))
 """Field of `LabelledImage` by key of a sample."""
 
 

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from pepperscene.dataset.recipe.frame_values import frame_values
 from pepperscene.dataset.recipe.load_camera import NamedFiles, load_camera
+from pepperscene.dataset.recipe.load_depth_camera import load_depth_camera
 from pepperscene.dataset.recipe.plan import FrameSpec
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe, load_recipe_cover, load_recipe_cultivar
 from pepperscene.dataset.recipe.tables import PLANT_TABLES
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera
+    from pepperscene.camera import Camera, DepthCamera
     from pepperscene.cultivar import Cultivar
     from pepperscene.scene import Cover
 
@@ -31,11 +32,11 @@ class FrameSetup:
 
     Attributes:
         recipe: without variation.
-        cultivar, camera, cover: as of `ResolvedRecipe`.
+        cultivar, camera, cover, depth_camera: as of `ResolvedRecipe`.
         drawn: the values that differ between frames, by dotted key, ready for JSON.
         plants: identifies the values that plants and their surroundings depend on.
         light: identifies the values that the sky depends on.
-        optics: identifies the values that the camera depends on.
+        optics: identifies the values that the camera depends on, and the depth camera.
     """
 
     recipe: Recipe
@@ -46,6 +47,7 @@ class FrameSetup:
     plants: str = ""
     light: str = ""
     optics: str = ""
+    depth_camera: DepthCamera | None = None
 
 
 class FrameSetups:
@@ -61,7 +63,13 @@ class FrameSetups:
         self._parts: dict[str, dict[str, Any]] = {}
         recipe = resolved.recipe
         self.same_for_all = not (recipe.variation or recipe.twins or recipe.rig)
-        self._only = FrameSetup(recipe, resolved.cultivar, resolved.camera, resolved.cover)
+        self._only = FrameSetup(
+            recipe,
+            resolved.cultivar,
+            resolved.camera,
+            resolved.cover,
+            depth_camera=resolved.depth_camera,
+        )
 
     def at(self, spec: FrameSpec) -> FrameSetup:
         """The setup of a frame; raises `InputError` if drawn values are not valid together."""
@@ -72,7 +80,7 @@ class FrameSetups:
         tables = recipe.model_dump(mode="json")
         plants = _key(tables, PLANT_TABLES)
         light = _key(tables, ("daylight",))
-        optics, files = _key(tables, ("camera", "developing")), self._files
+        optics, files = _key(tables, ("camera", "developing", "depth_camera")), self._files
         return FrameSetup(
             recipe=recipe,
             cultivar=self._part("cultivar", plants, lambda: load_recipe_cultivar(recipe, where, files)),
@@ -82,6 +90,7 @@ class FrameSetups:
             plants=plants,
             light=light,
             optics=optics,
+            depth_camera=self._part("depth camera", optics, lambda: load_depth_camera(recipe, where, files)),
         )
 
     def _part(self, name: str, key: str, load: Callable[[], Content]) -> Content:

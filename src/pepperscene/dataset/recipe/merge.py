@@ -18,10 +18,10 @@ _REPLACED: Final = (
     *((keys, tuple(key for other in LENS_KEYS if other != keys for key in other)) for keys in LENS_KEYS),
     (("calibration",), SIZE_KEYS),
 )
-"""Keys of [camera], and the alternatives to them, which a layer with one of these keys does not inherit. So a
-recipe can give `hfov_deg` although the one that it extends has a `lens`."""
+"""Keys of [camera] and [depth_camera], and their alternatives, which a layer with one of these keys does not
+inherit. So a recipe can give `hfov_deg` although the one that it extends has a `lens`."""
 
-_CAMERA: Final = "camera"
+_CAMERAS: Final = ("camera", "depth_camera")
 
 
 def merge_layer(base: Mapping[str, Any], over: Mapping[str, Any], *, is_file: bool = True) -> dict[str, Any]:
@@ -44,12 +44,13 @@ def merge_layer(base: Mapping[str, Any], over: Mapping[str, Any], *, is_file: bo
 
 def _without_replaced(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """The lower layers' table without keys of the camera for which the layer `over` has an alternative."""
-    inherited, camera = base.get(_CAMERA), over.get(_CAMERA)
-    if not isinstance(inherited, dict) or not isinstance(camera, dict):
-        return base
-    given = {key for key, value in camera.items() if value != NONE}
-    replaced = {key for keys, others in _REPLACED if given & set(keys) for key in others}
-    return {**base, _CAMERA: {key: value for key, value in inherited.items() if key not in replaced}}
+    for name in _CAMERAS:
+        inherited, camera = base.get(name), over.get(name)
+        if isinstance(inherited, dict) and isinstance(camera, dict):
+            given = {key for key, value in camera.items() if value != NONE}
+            replaced = {key for keys, others in _REPLACED if given & set(keys) for key in others}
+            base = {**base, name: {key: value for key, value in inherited.items() if key not in replaced}}
+    return base
 
 
 def _has_other_frames(base: Mapping[str, Any], over: Mapping[str, Any], is_file: bool) -> bool:

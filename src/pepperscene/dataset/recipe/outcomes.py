@@ -12,6 +12,7 @@ import numpy as np
 
 from pepperscene.dataset.recipe.frame_values import as_written, changed_recipe, twin_changes
 from pepperscene.dataset.recipe.load_camera import NamedFiles, load_camera
+from pepperscene.dataset.recipe.load_depth_camera import load_depth_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import (
     check_growth,
@@ -52,6 +53,7 @@ def check_outcomes(recipe: Recipe, where: str | Path, files: NamedFiles) -> None
     blended = set[tuple[str, str]]()
     checks: dict[tuple[str, ...], Callable[[Recipe], object]] = {
         ("camera", "developing"): lambda changed: load_camera(changed, where, files),
+        ("depth_camera",): lambda changed: load_depth_camera(changed, where, files),
         ("daylight",): lambda changed: load_recipe_cover(changed, where, files),
         ("row", "greenhouse", "twine"): lambda changed: check_gutters(changed, where),
         ("cultivar", "override", "growth"): lambda changed: check_growth(changed, where, files, blended),

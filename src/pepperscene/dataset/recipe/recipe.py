@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final
 from pydantic import Field, PrivateAttr
 
 from pepperscene.dataset.recipe import camera_tables, tables
+from pepperscene.dataset.recipe.depth_tables import DepthCameraTable
 from pepperscene.dataset.recipe.exposure import AUTO, AutoExposureTable
 from pepperscene.dataset.recipe.plan import Plan, check_seed
 from pepperscene.dataset.recipe.rig import MOST_CAMERAS, RigCamera, Twins
@@ -36,6 +37,11 @@ FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("camera", "flash"): "flashes",
     ("camera", "filter"): "filters",
     ("camera", "calibration"): _CALIBRATIONS,
+    ("depth_camera", "sensor"): "sensors",
+    ("depth_camera", "lens"): "lenses",
+    ("depth_camera", "filter"): "filters",
+    ("depth_camera", "calibration"): _CALIBRATIONS,
+    ("depth_camera", "projector"): "projectors",
     ("daylight", "cover"): "covers",
     ("views", "file"): _POSES,
 }
@@ -51,6 +57,7 @@ class Recipe(Document):
         cultivar: shipped name or path.
         plan, row, views, camera, developing: the tables.
         auto_exposure: for an exposure of "auto"; None for its defaults.
+        depth_camera: a stereo depth camera beside `camera`, or None for none.
         override: values of the cultivar file that this recipe changes.
         rig: further cameras that move with `camera`.
         twins: values by dotted key, one for each twin: frames that differ in these values only.
@@ -75,6 +82,7 @@ class Recipe(Document):
     greenhouse: tables.GreenhouseTable | None = None
     expect: tables.ExpectTable | None = None
     auto_exposure: AutoExposureTable | None = None
+    depth_camera: DepthCameraTable | None = None
     override: dict[str, Any] = Field(default_factory=dict)
     rig: Annotated[tuple[RigCamera, ...], Field(max_length=MOST_CAMERAS - 1)] = ()
     twins: Twins = Field(default_factory=dict)
@@ -118,15 +126,16 @@ class Recipe(Document):
         """
         recipe = self.model_dump(mode="json", exclude={"plan": {"select"}, "expect": True})
         # Tables added later are left out where they are missing, so that older recipes keep their identity.
-        for table in ("growth", "greenhouse", "auto_exposure", "override", "rig", "twins"):
+        for table in ("growth", "greenhouse", "auto_exposure", "depth_camera", "override", "rig", "twins"):
             if not recipe[table]:
                 del recipe[table]
         for name in ("twins", "cameras"):
             if recipe["plan"][name] == 1:
                 del recipe["plan"][name]
-        for key in camera_tables.LATER_KEYS:
-            if recipe["camera"][key] is None:
-                del recipe["camera"][key]
+        for table in ("camera", "depth_camera"):
+            for key in camera_tables.LATER_KEYS if table in recipe else ():
+                if recipe[table][key] is None:
+                    del recipe[table][key]
         if recipe["views"].get("speed_mm_s", 0) is None:
             del recipe["views"]["speed_mm_s"]
         for key, unused in camera_tables.LATER_STEPS.items():
@@ -138,7 +147,8 @@ class Recipe(Document):
         files: dict[str, dict[str, str]] = {}
         for dotted, folder in FILE_FOLDERS.items():
             for number, name in enumerate(self._names(dotted)):
-                part = dotted[-1] if folder is not None else ".".join(dotted)
+                is_short = folder is not None and dotted[0] != "depth_camera"
+                part = dotted[-1] if is_short else ".".join(dotted)
                 if number:
                     part = f"{part}.{Path(name).stem}"
                     # Files of the same name in different folders.

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pepperscene.dataset.recipe.load_camera import NamedFiles, load_camera
+from pepperscene.dataset.recipe.load_depth_camera import load_depth_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import NONE, GrowthTable
 from pepperscene.dataset.recipe.views_tables import FunctionViews, RandomViews
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera
+    from pepperscene.camera import Camera, DepthCamera
     from pepperscene.cultivar import Cultivar
     from pepperscene.scene import Cover
 
@@ -30,12 +31,14 @@ class ResolvedRecipe:
         cultivar: at the recipe's growth stage.
         camera: with the recipe's settings, without a pose.
         cover: between the sky and the crop, or None.
+        depth_camera: with the recipe's settings, without a pose; None if the recipe has none.
     """
 
     recipe: Recipe
     cultivar: Cultivar
     camera: Camera
     cover: Cover | None
+    depth_camera: DepthCamera | None = None
 
     @cached_property
     def identity(self) -> Mapping[str, Any]:
@@ -63,7 +66,8 @@ def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None 
     camera = load_camera(recipe, where, files)
     check_gutters(recipe, where)
     check_views(recipe, cultivar, where)
-    return ResolvedRecipe(recipe, cultivar, camera, cover)
+    depth_camera = load_depth_camera(recipe, where, files)
+    return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera)
 
 
 def check_views(recipe: Recipe, cultivar: Cultivar, where: str | Path) -> None:

@@ -18,7 +18,7 @@ FIRST_CAMERA: Final = "main"
 
 MOST_CAMERAS: Final = 64  # chosen: more than a robot carries
 _MOST_TWINS: Final = 1000  # chosen: as the largest number of sets
-_Offset = Annotated[float, Field(strict=True, ge=-10_000, le=10_000)]
+Offset = Annotated[float, Field(strict=True, ge=-10_000, le=10_000)]
 _PLACE: Final = ("name", "position_mm", "rotation_deg")
 
 
@@ -40,7 +40,7 @@ class RigCamera(Document):
     """
 
     name: Annotated[str, Field(strict=True), AfterValidator(_check_name)]
-    position_mm: tuple[_Offset, _Offset, _Offset] = (0.0, 0.0, 0.0)
+    position_mm: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
     rotation_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     camera: dict[str, Any] = Field(default_factory=dict)
 
@@ -56,15 +56,22 @@ class RigCamera(Document):
     @property
     def extrinsics(self) -> NDArray[np.float64]:
         """`(4, 4)` from this camera's axes to those of the main camera, metres."""
-        from scipy.spatial.transform import Rotation
+        return extrinsics(self.position_mm, self.rotation_deg)
 
-        right, up, clockwise = self.rotation_deg
-        # About y (down), a positive angle turns the optical axis to the right; about x, it turns it up.
-        rotation = Rotation.from_euler("YXZ", [right, up, clockwise], degrees=True)
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation.as_matrix()
-        matrix[:3, 3] = np.array(self.position_mm) / 1e3
-        return matrix
+
+def extrinsics(
+    position_mm: tuple[float, float, float], rotation_deg: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """`(4, 4)` from a camera's axes to those of another, metres; arguments as of `RigCamera`."""
+    from scipy.spatial.transform import Rotation
+
+    right, up, clockwise = rotation_deg
+    # About y (down), a positive angle turns the optical axis to the right; about x, it turns it up.
+    rotation = Rotation.from_euler("YXZ", [right, up, clockwise], degrees=True)
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation.as_matrix()
+    matrix[:3, 3] = np.array(position_mm) / 1e3
+    return matrix
 
 
 def _check_twins(twins: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,13 +17,14 @@ from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.dataset.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
+from pepperscene.dataset.scenes.frame_light import largest_light_reach, lit_cameras
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder, make_greenhouse
 from pepperscene.dataset.scenes.surfaces import SurfaceFactory
 from pepperscene.dataset.views.camera_views import CameraViews
-from pepperscene.frame import OUTPUTS, Frame, needs_surfaces
+from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfaces
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera
+    from pepperscene.camera import Camera, DepthCamera
     from pepperscene.camera.auto_exposure import ExposureControl
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
@@ -44,8 +45,9 @@ class SceneRenderer(Protocol):
         others: Mapping[str, Camera] = ...,
         sky: Sky | None = ...,
         exposure_control: ExposureControl | None = ...,
+        depth_camera: DepthCamera | None = ...,
     ) -> Frame:
-        """Render one view; `others`, `sky` and `exposure_control` are passed only if a frame needs them."""
+        """Render one view; the arguments after `seed` are passed only if a frame needs them."""
 
 
 RendererFactory = Callable[["Scene"], SceneRenderer]
@@ -133,7 +135,7 @@ class FrameRenderer:
             quality: "draft", "standard", "reference", or a `Quality`.
 
         Raises:
-            InputError: an output needs a stereo partner, and the recipe has none.
+            InputError: an output needs a stereo partner or a depth camera, and the recipe has none.
         """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
         held = self._scene_of(spec, setup, needs_surfaces(outputs))
@@ -147,6 +149,8 @@ class FrameRenderer:
             further["sky"] = self.sky(spec)
         if traced and setup.recipe.exposure_control is not None:
             further["exposure_control"] = setup.recipe.exposure_control.control()
+        if DEPTH_CAMERA_OUTPUTS.intersection(outputs):
+            further["depth_camera"] = self.views.depth_camera(spec, scene, visible)
         self._on_stage(f"rendering frame {spec.index}")
         frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
         return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
@@ -249,22 +253,15 @@ class FrameRenderer:
 
     def _light_reach(self, specs: Sequence[FrameSpec]) -> LightReach:
         """The largest reach of light in any of some frames."""
-        from pepperscene.scene import combine_reaches
-
-        distinct = {
-            (setup.optics, setup.light, setup.recipe.views, setup.recipe.exposure_control): setup
-            for setup in map(self.setups.at, specs)
-        }
-        return combine_reaches(
-            [_light_reach(setup, camera) for setup in distinct.values() for camera in _exposures(setup)]
-        )
+        return largest_light_reach([self.setups.at(spec) for spec in specs])
 
     def _optics(
         self, spec: FrameSpec, setup: FrameSetup, specs: Sequence[FrameSpec], *, other_process: bool
     ) -> tuple[dict[str, Surface], Sky | None]:
         """The surfaces of a scene over the wavelengths that any camera of its frames detects, and its sky."""
-        cameras = {other.optics: other.camera for other in map(self.setups.at, specs)}
-        ranges = [surface_wavelengths(camera.sensor) for camera in cameras.values()]
+        distinct = {other.optics: other for other in map(self.setups.at, specs)}.values()
+        cameras = [camera for other in distinct for camera in lit_cameras(other)]
+        ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
         surfaces = self._surfaces.surfaces(
             setup.cultivar, float(first), float(last), other_process=other_process
@@ -274,24 +271,3 @@ class FrameRenderer:
 
 def _ignore(_: str) -> None:
     """Callback of a caller that wants none."""
-
-
-def _exposures(setup: FrameSetup) -> list[Camera]:
-    """The camera, or those with the shortest and the longest exposure if it is automatic."""
-    control = setup.recipe.exposure_control
-    if control is None:
-        return [setup.camera]
-    return [replace(setup.camera, exposure_s=limit_us / 1e6) for limit_us in control.exposure_us]
-
-
-def _light_reach(setup: FrameSetup, camera: Camera) -> LightReach:
-    from pepperscene.scene import light_reach
-
-    light = setup.recipe.daylight
-    distance_m = setup.recipe.views.subject_mm / 1e3
-    if light is None or light.illuminance_lx == 0:
-        return light_reach(camera, distance_m, 0.0)
-    # As for a clear sky: a hazy cover only softens the sun's shadows.
-    sun_lx = light.illuminance_lx * light.sun_fraction
-    normal_lx = sun_lx / np.sin(np.radians(light.sun_elevation_deg)) if sun_lx > 0 else 0.0
-    return light_reach(camera, distance_m, light.illuminance_lx - sun_lx, float(normal_lx))

@@ -15,10 +15,10 @@ from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.views_tables import FunctionViews, RandomViews, Views
 from pepperscene.dataset.views.fixed_views import View, fixed_view
 from pepperscene.errors import InputError
-from pepperscene.frame import STEREO_OUTPUTS
+from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, STEREO_OUTPUTS
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera
+    from pepperscene.camera import Camera, DepthCamera
     from pepperscene.dataset.views.free_space import FreeSpace
     from pepperscene.render.visibility import PointTest
     from pepperscene.scene import Greenhouse, Scene, ViewFrustums
@@ -74,7 +74,7 @@ class CameraViews:
         Raises `InputError` if the recipe has no partner that an output needs.
         """
         names, recipe = set(outputs), self._setups.at(spec).recipe
-        check_partner(recipe, names)
+        check_further_cameras(recipe, names)
         cameras = {}
         if "flow" in names and spec.step + 1 < self._plan.frames:
             next_spec = self._plan.frame(spec.index + self._plan.cameras)
@@ -85,6 +85,21 @@ class CameraViews:
                 self.camera(spec, scene, visible), recipe.camera.baseline_mm / 1e3
             )
         return cameras
+
+    def depth_camera(
+        self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None
+    ) -> DepthCamera | None:
+        """The depth camera of a frame at its pose, or None; arguments as of `camera`.
+
+        It moves with the main camera, also in frames of other cameras of a rig.
+        """
+        setup = self._setups.at(spec)
+        table, depth_camera = setup.recipe.depth_camera, setup.depth_camera
+        if table is None or depth_camera is None:
+            return None
+        view = _view_of_rig(self._view(spec, setup, scene, visible), table.extrinsics)
+        left = depth_camera.left.at_pose(view.pose)
+        return depth_camera.with_left(left if view.motion is None else replace(left, motion=view.motion))
 
     def frustums(self, specs: Iterable[FrameSpec]) -> ViewFrustums:
         """The view frustums of all cameras of some frames, partners included."""
@@ -98,9 +113,13 @@ class CameraViews:
             cameras = [self.camera(spec)]
             if baseline_mm is not None:
                 cameras.append(_stereo_partner(cameras[0], baseline_mm / 1e3))
+            cameras = [self._longest_exposure(spec, camera) for camera in cameras]
+            depth_camera = self.depth_camera(spec)
+            if depth_camera is not None:
+                cameras += depth_camera.longest_exposed()
             for number, camera in enumerate(cameras):
                 key = (setup.optics, number, spec.camera)
-                groups.setdefault(key, []).extend(_along_motion(self._longest_exposure(spec, camera)))
+                groups.setdefault(key, []).extend(_along_motion(camera))
         parts = [
             view_frustums(cameras[0], [camera.pose for camera in cameras]) for cameras in groups.values()
         ]
@@ -162,12 +181,15 @@ class CameraViews:
         return View(random_view(settings, scene, camera, rng, visible, space, where).pose)
 
 
-def check_partner(recipe: Recipe, outputs: Iterable[str]) -> None:
-    """Raise `InputError` if a recipe has no stereo partner, and outputs need it."""
-    partnered = sorted(STEREO_OUTPUTS.intersection(outputs))
-    if partnered and recipe.camera.baseline_mm is None:
-        problem = f"is required for the output {partnered[0]}"
-        raise InputError(recipe.name, problem, key="camera.baseline_mm")
+def check_further_cameras(recipe: Recipe, outputs: Iterable[str]) -> None:
+    """Raise `InputError` if a recipe has no stereo partner or depth camera, and outputs need it."""
+    needed = (
+        ("camera.baseline_mm", recipe.camera.baseline_mm, STEREO_OUTPUTS),
+        ("depth_camera", recipe.depth_camera, DEPTH_CAMERA_OUTPUTS),
+    )
+    for key, value, names in needed:
+        if value is None and (missing := names.intersection(outputs)):
+            raise InputError(recipe.name, f"is required for the output {min(missing)}", key=key)
 
 
 def _along_motion(camera: Camera) -> list[Camera]:

@@ -97,10 +97,10 @@ def open_image_denoise() -> ModuleType:
 
 def denoised(light: TracedLight) -> Image:
     """`(h, w, c)` all light, with the indirect light denoised; electrons s-1 m-2 sr-1."""
-    return light.flash + light.sky_and_sun + _denoised_indirect(light)
+    return light.flash + light.sky_and_sun + denoised_indirect(light)
 
 
-def _denoised_indirect(light: TracedLight) -> Image:
+def denoised_indirect(light: TracedLight) -> Image:
     """The indirect light, denoised with albedo and normal as guides."""
     level = float(light.indirect.mean(dtype=np.float64))
     if level <= 0.0:

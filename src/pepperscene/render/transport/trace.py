@@ -82,10 +82,10 @@ def trace(
     if tables.has_lights:
         first = min(sampling.indirect, sampling.samples)
         all_light = functools.partial(_all_light, bounces=sampling.bounces, most=sampling.most_bounces)
-        accumulator.add_all(_sum_samples(tables, None, 0, first, seed, all_light), first)
+        accumulator.add_all(sum_samples(tables, None, 0, first, seed, all_light), first)
     if sampling.samples > first:
         remaining = sampling.samples - first
-        accumulator.add_direct(_sum_samples(tables, None, first, remaining, seed, _direct_light), remaining)
+        accumulator.add_direct(sum_samples(tables, None, first, remaining, seed, _direct_light), remaining)
 
     if not tables.has_lights or sampling.required is None:
         return accumulator.light()
@@ -94,7 +94,7 @@ def trace(
     for _ in range(_REFINEMENT_ROUNDS):
         refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
         for begin, end, pixels in refinements:
-            sums = _sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
+            sums = sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
             accumulator.add_direct(sums, end - begin, pixels)
         if not refinements:
             break
@@ -109,7 +109,7 @@ def _refinements(taken: Counts, required: Counts) -> Iterator[tuple[int, int, ND
             yield begin, end, pixels[required[pixels] == end]
 
 
-def _sum_samples(
+def sum_samples(
     tables: FrameTables,
     pixels: NDArray[np.int64] | None,
     first: int,
@@ -145,7 +145,7 @@ def _sum_pass(
     seed: int,
     integrand: Callable[[FrameTables, Samples], list[Any]],
 ) -> list[Images]:
-    """The sums of `_sum_samples` for its pixels from one number to another, in the device's memory."""
+    """The sums of `sum_samples` for its pixels from one number to another, in the device's memory."""
     mi, dr = mitsuba_modules()
     start, end = limits
     salt, begin, per_pixel = (device_uint(n) for n in (seed & 0xFFFFFFFF, first, count))

@@ -1,0 +1,126 @@
+"""A stereo depth camera: two equal imagers side by side, with or without a projector, and their matching."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pepperscene.camera.auto_exposure import ExposureControl
+from pepperscene.camera.camera import Camera
+from pepperscene.camera.projector import Projector
+
+
+@dataclass(frozen=True)
+class StereoMatching:
+    """Settings of semi-global matching (Hirschmueller 2008, IEEE TPAMI 30:328) in OpenCV.
+
+    The penalties are those that OpenCV's documentation recommends: 8 and 32 times the pixels of a block.
+
+    Attributes:
+        disparities: number of disparities that are compared, from 0; a multiple of 16. It limits the nearest
+            depth.
+        block_px: side of the block of pixels that is compared; odd.
+        refined_px: side of the window over which disparities are refined to fractions of a pixel; odd, or 0
+            for those of semi-global matching, which are drawn to whole pixels.
+        uniqueness_percent: by how much the best cost must be below that of any other disparity.
+        least_correlation: of the slopes of the two images in the window of `refined_px`; less is a hole. The
+            default is chosen: images of noise alone reach 0.38.
+        left_right_px: largest difference of the disparities that the left and the right image find for the
+            same point; more is a hole.
+        speckle_px: connected pixels of similar disparity that are holes if they are fewer; 0 keeps all.
+        farthest_m: depths beyond it are holes.
+    """
+
+    disparities: int = 128
+    block_px: int = 7
+    refined_px: int = 9
+    uniqueness_percent: int = 10
+    least_correlation: float = 0.4
+    left_right_px: float = 1.0
+    speckle_px: int = 100
+    farthest_m: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.disparities < 16 or self.disparities % 16:
+            raise ValueError(f"disparities must be a multiple of 16, not {self.disparities}")
+        if self.block_px % 2 == 0 or (self.refined_px and self.refined_px % 2 == 0):
+            raise ValueError(f"block_px = {self.block_px} and refined_px = {self.refined_px} must be odd")
+
+
+@dataclass(frozen=True, eq=False)
+class DepthCamera:
+    """A stereo depth camera at a pose.
+
+    Its depth image is that of the left imager. Both imagers are exposed at the same time, and the projector
+    shines during the exposure.
+
+    Attributes:
+        left: the left imager at its pose. It has no flash.
+        baseline_m: distance to the right imager, along the rows of the image.
+        projector: None for passive stereo.
+        matching: settings of the matcher.
+        exposure_control: for an automatic exposure; None for that of `left`.
+    """
+
+    left: Camera
+    baseline_m: float
+    projector: Projector | None = None
+    matching: StereoMatching = field(default_factory=StereoMatching)
+    exposure_control: ExposureControl | None = None
+
+    def __post_init__(self) -> None:
+        if not self.baseline_m > 0:
+            raise ValueError(f"the baseline must be positive, not {self.baseline_m:g} m")
+        if self.left.flash is not None:
+            raise ValueError("the imagers of a depth camera have no flash")
+        if not self.left.lens.distortion.is_zero:
+            raise ValueError(
+                "the imagers of a depth camera must have no distortion: images are matched by row"
+            )
+
+    @property
+    def right(self) -> Camera:
+        """The right imager."""
+        return self.left_with_offset((self.baseline_m, 0.0, 0.0))
+
+    def longest_exposed(self) -> tuple[Camera, Camera]:
+        """Both imagers with the longest exposure that they can have."""
+        control = self.exposure_control
+        if control is None:
+            return self.left, self.right
+        left, right = (
+            dataclasses.replace(camera, exposure_s=control.longest_s) for camera in (self.left, self.right)
+        )
+        return left, right
+
+    @property
+    def disparity_m(self) -> float:
+        """Depth times disparity, metres times pixels: focal length in pixels times baseline."""
+        return float(self.left.intrinsics[0, 0] * self.baseline_m)
+
+    def left_with_offset(self, offset_m: ArrayLike) -> Camera:
+        """The left imager at another place, given in its own axes: right, down, forward."""
+        offset = self.left.pose[:3, :3] @ np.asarray(offset_m, dtype=float)
+        pose = self.left.pose.copy()
+        pose[:3, 3] += offset
+        camera = self.left.at_pose(pose)
+        if camera.motion is None:
+            return camera
+        return dataclasses.replace(camera, motion=camera.motion.at_offset(offset))
+
+    def with_left(self, left: Camera) -> DepthCamera:
+        """The same depth camera with another left imager."""
+        return dataclasses.replace(self, left=left)
+
+    def metadata(self) -> dict[str, Any]:
+        """JSON-ready description: that of the left imager, with the baseline, projector and matching."""
+        return {
+            **self.left.metadata(),
+            "baseline_m": float(self.baseline_m),
+            "projector": None if self.projector is None else self.projector.name,
+            "matching": dataclasses.asdict(self.matching),
+        }
