@@ -24,6 +24,7 @@ RECORDS = {
     "dataset/execution/job.py",  # dataset.json
     "dataset/export/fruit_models.py",  # plants are grown again only by the version that grew them
     "dataset/report/recorded_scene.py",  # as fruit_models
+    "dataset/viewpoints/table.py",  # metadata of a table
     "learning/experiments/run.py",
     "learning/models/trained_model.py",
     "learning/training/run.py",
