@@ -7,7 +7,7 @@ import shlex
 import tarfile
 
 import pytest
-from data_sets import set_without_plants
+from data_sets import D435, set_without_plants
 from markdown_it import MarkdownIt
 from painted_set import ALL, Painter
 
@@ -54,7 +54,7 @@ def named(tmp_path_factory):
     folder = tmp_path_factory.mktemp("named")
     cultivar = folder / f"{SYNTAX.replace('/', ' ')}.toml"
     cultivar.write_text('extends = "kaite_february"\n', encoding="utf-8")
-    changes = {"name": SYNTAX, "cultivar": str(cultivar)}
+    changes = {"name": SYNTAX, "cultivar": str(cultivar), **D435}
     return set_without_plants(folder / "set", range(3), ALL, Painter, changes)
 
 

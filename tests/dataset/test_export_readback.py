@@ -82,7 +82,7 @@ def check(figures, name, frames):
 
 
 def test_every_format_is_verified():
-    # The depth of a depth camera is read back in test_depth_camera.py; all else of its format is that of rgbd.
+    # The depth of a depth camera is read back in test_depth_camera.py; all else of its format is as of rgbd.
     formats = set(FORMATS) - {"rgbd_sensor"}
     assert set(VERIFY) == formats
     assert set(FAULTS) == formats - {"rerun"}

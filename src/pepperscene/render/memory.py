@@ -15,6 +15,7 @@ import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
 from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
+from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
 from pepperscene.render.variant import wanted_threads
@@ -24,6 +25,9 @@ _MARGIN: Final = 1.07
 
 _PROCESS: Final = 150e6
 """Bytes: the interpreter, the libraries and compiled kernels; measured 120 to 170 MB."""
+
+_COMPILER: Final = 100e6
+"""Bytes, where Numba is installed: its compiler, and the contacts that it compiles; measured 102 MB."""
 
 _PER_TRIANGLE: Final = 185.0
 """Bytes per triangle of the scene as it is built: the mesh and its copies while it is assembled, and Embree's
@@ -107,6 +111,8 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
     """
     pixels, labels = camera.width * camera.height, [name for name in outputs if not OUTPUTS[name].traced]
     total = _PROCESS + _PER_TRIANGLE * triangles
+    if compilation.AVAILABLE:
+        total += _COMPILER
     per_pixel = 0.0
     if needs_surfaces(set(outputs) - DEPTH_CAMERA_OUTPUTS):
         total += _TEXTURES
