@@ -205,6 +205,9 @@ def test_any_axis_of_the_file_can_be_up(tmp_path, up, axis):
             assert np.quantile(values(scan.points), one) == pytest.approx(
                 np.quantile(values(upright.points), one), abs=5e-3
             )
+    # And they are as many different ones along it.
+    different = [len(np.unique(np.round(one.points[:, 2], 4))) for one in (scan, upright)]
+    assert abs(different[0] - different[1]) < 0.1 * different[1]
 
 
 def test_scan_is_loaded_again_after_its_file_changes(tmp_path):

@@ -29,7 +29,7 @@ from pepperscene.truth import HUE_BINS
 if TYPE_CHECKING:
     from matplotlib.figure import SubFigure
 
-_LINE_IN: Final = 0.17
+_LINE_IN: Final = 0.17  # chosen: height of a line of notes
 _NOTE_LETTERS: Final = 190  # chosen: as many as fit into the width
 _WIDTH_IN: Final = 13.0
 _DPI: Final = 150  # of PNG files, and of the images in an SVG

@@ -6,6 +6,7 @@ Bounding boxes are compared first, then bounding spheres of patches.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -34,72 +35,91 @@ def near_patches(
         `(h,)` indices of movers and `(h,)` of the transforms with which they meet their spheres; `(m,)` index
         of each patch's pair among these, and `(m,)` the patches.
     """
-    arguments = (
-        organs, movers, centre.astype(np.float32), radius.astype(np.float32), transform,
-        transforms.rotation.astype(np.float32), transforms.shift.astype(np.float32),
-    )  # fmt: skip
+    targets = _Targets(
+        movers,
+        organs.low[movers].astype(np.float32),
+        organs.high[movers].astype(np.float32),
+        centre.astype(np.float32),
+        radius.astype(np.float32),
+        transform,
+        transforms.rotation.astype(np.float32),
+        transforms.shift.astype(np.float32),
+    )
     if compilation.AVAILABLE:
-        yield _near_patches_compiled(*arguments)
+        yield _compiled_patches(organs, targets)
     else:
-        yield from _near_patches_by_arrays(*arguments)
+        yield from _patches_by_arrays(organs, targets)
 
 
-def _near_patches_compiled(
-    organs: Organs,
-    movers: IndexArray,
-    centres: SingleArray,
-    radii: SingleArray,
-    transform: IndexArray,
-    rotation: SingleArray,
-    shift: SingleArray,
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    """Moving organs and the sphere of each, in single precision."""
+
+    movers: IndexArray  # `(n,)` organs
+    low: SingleArray  # `(n, 3)` metres, lower corners of their boxes
+    high: SingleArray  # `(n, 3)` metres, upper corners
+    centre: SingleArray  # `(n, 3)` metres, of the spheres
+    radius: SingleArray  # `(n,)` metres
+    transform: IndexArray  # `(n,)` row of the transforms of each
+    rotation: SingleArray  # `(t, k, 3, 3)`
+    shift: SingleArray  # `(t, k, 3)` metres
+
+
+def _compiled_patches(
+    organs: Organs, targets: _Targets
 ) -> tuple[IndexArray, IndexArray, IndexArray, IndexArray]:
     from pepperscene.geometry.contacts.depth_kernel import patches_near_spheres, spheres_near_boxes
 
-    low, high = organs.low[movers].astype(np.float32), organs.high[movers].astype(np.float32)
-    near, spheres = spheres_near_boxes(low, high, centres, radii, transform, rotation, shift)
-    pair, step = np.divmod(near, shift.shape[1])
-    # Sample only organs that come near to something.
-    organs.sample(movers[np.unique(pair)])
-    first, count, patches = (
-        organs.patch_first[movers[pair]],
-        organs.patch_count[movers[pair]],
-        organs.all_patches,
+    near, spheres = spheres_near_boxes(
+        targets.low,
+        targets.high,
+        targets.centre,
+        targets.radius,
+        targets.transform,
+        targets.rotation,
+        targets.shift,
     )
-    hit, patch = patches_near_spheres(first, count, patches.centre.T, patches.radius, spheres, radii[pair])
+    pair, step = np.divmod(near, targets.shift.shape[1])
+    # Sample only organs that come near to something.
+    organs.sample(targets.movers[np.unique(pair)])
+    near_organs, patches = targets.movers[pair], organs.all_patches
+    hit, patch = patches_near_spheres(
+        organs.patch_first[near_organs],
+        organs.patch_count[near_organs],
+        patches.centre.T,
+        patches.radius,
+        spheres,
+        targets.radius[pair],
+    )
     return pair, step, hit, patch
 
 
-def _near_patches_by_arrays(
-    organs: Organs,
-    movers: IndexArray,
-    centres: SingleArray,
-    radii: SingleArray,
-    transform: IndexArray,
-    rotation: SingleArray,
-    shift: SingleArray,
+def _patches_by_arrays(
+    organs: Organs, targets: _Targets
 ) -> Iterator[tuple[IndexArray, IndexArray, IndexArray, IndexArray]]:
     """The same without compiled code, in blocks."""
-    steps = shift.shape[1]
-    low, high = organs.low[movers].astype(np.float32), organs.high[movers].astype(np.float32)
+    steps = targets.shift.shape[1]
     block_size = max(ENTRIES // (4 * steps), 1)
-    for start in range(0, len(movers), block_size):
+    for start in range(0, len(targets.movers), block_size):
         block = slice(start, start + block_size)
         # Instead of moving organs to spheres, move spheres back to the organs.
-        target = _move_back(centres[block], transform[block], rotation, shift)
+        target = _move_back(targets.centre[block], targets.transform[block], targets.rotation, targets.shift)
         square = np.zeros(target.shape[1:], dtype=np.float32)
         for axis in range(3):
-            offset = target[axis] - np.clip(target[axis], low[block, axis, None], high[block, axis, None])
+            offset = target[axis] - np.clip(
+                target[axis], targets.low[block, axis, None], targets.high[block, axis, None]
+            )
             square += offset * offset
-        near = np.flatnonzero(square < np.square(radii[block])[:, None])
+        near = np.flatnonzero(square < np.square(targets.radius[block])[:, None])
         pair, step = np.divmod(near, steps)
         sphere, pair = target.reshape(3, -1).take(near, axis=1), pair + start
         # Sample only organs that come near to something.
-        organs.sample(movers[np.unique(pair)])
-        count = organs.patch_count[movers[pair]]
+        organs.sample(targets.movers[np.unique(pair)])
+        count = organs.patch_count[targets.movers[pair]]
         for part in _blocks(count):
             hit, number = expand_counts(count[part])
-            patch = organs.patch_first[movers[pair[part]]][hit] + number
-            limit = radii.take(pair[part]).take(hit) + organs.all_patches.radius.take(patch)
+            patch = organs.patch_first[targets.movers[pair[part]]][hit] + number
+            limit = targets.radius.take(pair[part]).take(hit) + organs.all_patches.radius.take(patch)
             distance = np.zeros(len(patch), dtype=np.float32)
             for axis in range(3):
                 offset = organs.all_patches.centre[:, axis].take(patch) - sphere[axis, part].take(hit)
