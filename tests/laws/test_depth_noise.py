@@ -63,7 +63,7 @@ def test_depth_noise_at_many_distances():
 
 
 @pytest.mark.slow
-def test_sunlight_drowns_the_pattern_on_a_plane_without_texture():
+def test_sunlight_outshines_the_pattern_on_a_plane_without_texture():
     indoors, outdoors = (errors(1.0, d435(), sunny(lx)) for lx in (300.0, 100_000.0))
     assert np.isfinite(indoors).mean() > 0.95
     assert subpixel(indoors) < 0.2
