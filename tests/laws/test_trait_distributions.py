@@ -24,11 +24,11 @@ SIGNIFICANCE = 0.01
 POINTS = 60_000  # over the area of a plant, about 150 on each leaf
 LEAST_PIXELS = {"lamina": 40, "fruit": 40}
 TRAIT = {"lamina": "chlorophyll", "fruit": "ripeness"}
-DRAWN = {"lamina": "state", "fruit": "ripeness"}
+DRAWN = {"lamina": "state_mean", "fruit": "ripeness"}
 
 
 def whole_organs(mesh, surfaces, rng):
-    """`(i, 2)` mean chlorophyll and ripeness over the area of each organ, seen or not."""
+    """`(i, 2)` mean chlorophyll and ripeness over the area of each organ, and its number of points."""
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     points, face = trimesh.sample.sample_surface(solid, POINTS, seed=rng)
     weights = trimesh.triangles.points_to_barycentric(solid.triangles[face], points)
@@ -53,7 +53,7 @@ def whole_organs(mesh, surfaces, rng):
 
 @pytest.fixture(scope="module")
 def organs():
-    """Of all leaves and fruit below the growing top: drawn value, mean over the organ, mean over its pixels."""
+    """Of leaves and fruit below the growing top: drawn value, mean over the organ, mean over its pixels."""
     cultivar = load_cultivar("kaite")
     surfaces = organ_surfaces(cultivar, [500.0, 600.0])
     mature = cultivar.stem.parts - cultivar.stem.young_nodes
@@ -73,9 +73,8 @@ def organs():
             trait = TRAIT[organ.kind]
             is_seen = pixels[index] >= LEAST_PIXELS[organ.kind]
             shown = frame[trait].ravel()[number == index + 1].mean() if is_seen else np.nan
-            key = "state_mean" if organ.kind == "lamina" else "ripeness"
-            drawn = organ.measures.get(key, organ.measures.get("state", np.nan))
-            found[organ.kind].append((drawn, whole[index, list(TRAIT).index(organ.kind)], shown))
+            drawn, column = organ.measures[DRAWN[organ.kind]], list(TRAIT).index(organ.kind)
+            found[organ.kind].append((drawn, whole[index, column], shown))
     return {kind: np.array(rows) for kind, rows in found.items()}
 
 

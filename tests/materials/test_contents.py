@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.materials import organ_surfaces
+from pepperscene.materials import Surface, organ_surfaces
 
 RIND = {"chlorophyll", "carotenoids"}
 
@@ -16,8 +16,7 @@ RIND = {"chlorophyll", "carotenoids"}
 def test_each_surface_has_the_traits_that_it_can_have(surfaces):
     traits = {name: set(surface.contents) for name, surface in surfaces.items() if surface.contents}
     rinds = dict.fromkeys(("petiole", "stem", "dry_shoot", "peduncle", "calyx"), RIND)
-    sheets = dict.fromkeys(("leaf", "petal"), RIND | {"water"})
-    assert traits == {**rinds, **sheets, "fruit": RIND | {"ripeness"}}
+    assert traits == {**rinds, "leaf": RIND | {"water"}, "fruit": RIND | {"ripeness"}}
     assert {name for name, surface in surfaces.items() if surface.is_blade} == {"leaf"}
 
 
@@ -47,12 +46,9 @@ def test_red_carotenoids_of_fruit_count(nm):
 
 
 @pytest.mark.parametrize("amounts", [np.ones(2), np.full(9, np.nan), np.full(9, -1.0), np.ones((9, 1))])
-def test_contents_that_do_not_fit_are_rejected(surfaces, amounts):
-    nine = replace(
-        surfaces["petal"],
-        reflectance=np.zeros((9, 2, 161)),
-        transmittance=np.zeros((9, 161)),
-        contents={"chlorophyll": np.ones(9)},
-    )
+def test_contents_that_do_not_fit_are_rejected(amounts):
+    reflectance, transmittance = np.zeros((9, 2, 2)), np.zeros((9, 2))
+    surface = Surface("petal", np.array([400.0, 700.0]), reflectance, transmittance)
+    assert not surface.contents
     with pytest.raises(ValueError, match="petal: chlorophyll must be 9 finite numbers"):
-        replace(nine, contents={"chlorophyll": amounts})
+        replace(surface, contents={"chlorophyll": amounts})
