@@ -19,7 +19,8 @@ from pepperscene.render import Renderer
 from pepperscene.render.aov.traits import tissue_states
 from pepperscene.scene import assemble_scene
 
-PLANTS = 200
+PLANTS = 100
+SIDES = (0.0, np.pi)  # of the views of each plant: a fruit is not equally ripe all around
 SIGNIFICANCE = 0.01
 POINTS = 60_000  # over the area of a plant, about 150 on each leaf
 LEAST_PIXELS = {"lamina": 40, "fruit": 40}
@@ -62,27 +63,30 @@ def organs():
         plant = grow(cultivar, np.random.default_rng([77, seed]))
         mesh = mesh_plant(plant, 0.3)
         whole, points = whole_organs(mesh, surfaces, seed)
-        frame = Renderer(assemble_scene(mesh, {n: surfaces[n] for n in mesh.surfaces})).render(
-            whole_plant_view(mesh, seed), ["instance", *TRAIT.values()]
-        )
-        number = frame["instance"].ravel()
-        pixels = np.bincount(number, minlength=len(mesh.instances) + 1)[1:]
+        renderer = Renderer(assemble_scene(mesh, surfaces))
+        frames = [
+            renderer.render(whole_plant_view(mesh, seed, side), ["instance", *TRAIT.values()])
+            for side in SIDES
+        ]
+        number = np.stack([frame["instance"] for frame in frames])
+        images = {trait: np.stack([frame[trait] for frame in frames]) for trait in TRAIT.values()}
+        pixels = np.bincount(number.ravel(), minlength=len(mesh.instances) + 1)[1:]
         for index, organ in enumerate(plant.organs):
             if organ.kind not in TRAIT or organ.phytomer >= mature or points[index] < 20:
                 continue
             trait = TRAIT[organ.kind]
             is_seen = pixels[index] >= LEAST_PIXELS[organ.kind]
-            shown = frame[trait].ravel()[number == index + 1].mean() if is_seen else np.nan
+            shown = images[trait][number == index + 1].mean() if is_seen else np.nan
             drawn, column = organ.measures[DRAWN[organ.kind]], list(TRAIT).index(organ.kind)
             found[organ.kind].append((drawn, whole[index, column], shown))
     return {kind: np.array(rows) for kind, rows in found.items()}
 
 
-def whole_plant_view(mesh, seed):
-    """A camera in front of a plant, at a random azimuth, that sees all of it in 180 x 480 pixels."""
+def whole_plant_view(mesh, seed, side):
+    """A camera beside a plant that sees all of it in 180 x 480 pixels, `side` beyond a random azimuth."""
     low, high = mesh.bounds.astype(float)
     centre, height = 0.5 * (low + high), float(high[2] - low[2])
-    azimuth = np.random.default_rng([78, seed]).uniform(0.0, 2.0 * np.pi)
+    azimuth = np.random.default_rng([78, seed]).uniform(0.0, 2.0 * np.pi) + side
     distance = 2.0 * height
     position = centre + distance * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     view = axis_camera(180, 480)

@@ -83,10 +83,11 @@ def test_maps_are_the_contents_behind_what_light_sees(scene, frame, trait):
     is_known = has_trait[frame["instance"]]
     image = frame[trait].astype(float)
     np.testing.assert_array_equal(np.isfinite(image), is_known)
-    assert is_known.sum() > 200
-    # Single precision finds textures to 1e-5 of their size.
-    np.testing.assert_allclose(image[is_known] / largest, expected[is_known], atol=2e-4)
-    assert np.ptp(image[is_known]) > 0.3 * image[is_known].max()
+    assert is_known.sum() > 100
+    # In the single precision of the kernel.
+    error = np.abs(image[is_known] - largest * expected[is_known])
+    assert error.max() < 1e-4 * image[is_known].max()
+    assert np.ptp(image[is_known]) > 0.8 * image[is_known].max()
 
 
 def test_traits_are_where_their_organs_are(frame):
@@ -174,7 +175,7 @@ def seen_mean(mesh, surfaces, trait):
     ("kind", "trait", "tolerance"),
     [
         ("lamina", "chlorophyll", 0.01), ("lamina", "water", 0.01),
-        ("fruit", "chlorophyll", 0.02), ("fruit", "carotenoids", 0.02), ("fruit", "ripeness", 0.02),
+        ("fruit", "chlorophyll", 0.02), ("fruit", "carotenoids", 0.01), ("fruit", "ripeness", 0.01),
     ],
 )  # fmt: skip
 def test_maps_integrate_to_the_value_of_the_organ(kaite, organs, kind, trait, tolerance):
@@ -188,15 +189,13 @@ def test_maps_integrate_to_the_value_of_the_organ(kaite, organs, kind, trait, to
 def organs(scene):
     """A blade that has begun to age, and a fruit that turns, each alone: mesh and surfaces."""
     plant = short_plant(12, 3)
+    half_ripe = (replace(organ, measures={**organ.measures, "ripeness": 0.5}) for organ in plant.organs)
+    plant = replace(plant, organs=tuple(half_ripe))
     mesh = mesh_plant(plant, 0.6)
     surfaces = {surface.name: surface for surface in scene.surfaces}
     found = {}
     for kind in ("lamina", "fruit"):
-        number = next(
-            index
-            for index, organ in enumerate(plant.organs)
-            if organ.kind == kind and (kind != "fruit" or organ.measures["ripeness"] > 0.3)
-        )
+        number = next(index for index, organ in enumerate(plant.organs) if organ.kind == kind)
         alone = mesh.select_instances([number])
         aged = tuple(replace(item, ageing=0.3) for item in alone.appearances)
         found[kind] = replace(alone, appearances=aged), surfaces
