@@ -263,6 +263,8 @@ def surface_points(
     Method: T. Moeller and B. Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics
     Tools 2 (1997) 21.
     """
+    if not pixels.size:
+        return
     face, rays = hits.face.ravel(), world_directions(camera).reshape(-1, 3)
     centre = centres(camera)
     of_pixels = np.broadcast_to(centre, (*hits.face.shape, 3)).reshape(-1, 3) if centre.ndim > 1 else None
