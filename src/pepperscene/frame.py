@@ -113,6 +113,37 @@ _ALL: Final = (
         "diffuse reflectance as the camera develops it, linear sRGB; background 0",
         shows_surfaces=True,
     ),
+    Output(
+        "chlorophyll",
+        "(h, w)",
+        "float32",
+        "chlorophyll a and b, ug per cm2 of leaf or skin; nan where none is modelled",
+        shows_surfaces=True,
+    ),
+    Output(
+        "carotenoids",
+        "(h, w)",
+        "float32",
+        "carotenoids, ug per cm2 of leaf or skin; nan where none are modelled",
+        shows_surfaces=True,
+    ),
+    Output(
+        "water",
+        "(h, w)",
+        "float32",
+        "water of blades and petals, g per cm2 or cm of equivalent thickness; nan elsewhere",
+        shows_surfaces=True,
+    ),
+    Output(
+        "ripeness", "(h, w)", "float32", "0 unripe to 1 ripe, of fruit; nan elsewhere", shows_surfaces=True
+    ),
+    Output(
+        "leaf_age",
+        "(h, w)",
+        "float32",
+        "ageing of leaf blades, 0 healthy to 1 dried up; nan elsewhere",
+        shows_surfaces=True,
+    ),
 )
 OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
 """All outputs by name, in canonical order."""
@@ -122,6 +153,9 @@ STEREO_OUTPUTS: Final = frozenset({"stereo", "colour_stereo"})
 
 DEPTH_CAMERA_OUTPUTS: Final = frozenset({"depth_sensor", "depth_confidence", "imager_left", "imager_right"})
 """Outputs that need a depth camera."""
+
+TRAIT_OUTPUTS: Final = frozenset({"chlorophyll", "carotenoids", "water", "ripeness", "leaf_age"})
+"""Outputs of what the tissue behind a pixel's centre holds."""
 
 
 def needs_surfaces(names: Iterable[str]) -> bool:

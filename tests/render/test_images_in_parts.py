@@ -11,7 +11,7 @@ from greenhouse import camera, cloudy_sky, greenhouse
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 
-OUTPUTS = ["colour", "electrons", "uv"]
+OUTPUTS = ["colour", "electrons", "uv", "chlorophyll"]
 
 
 @pytest.mark.slow

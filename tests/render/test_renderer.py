@@ -232,6 +232,11 @@ def test_albedo_needs_surfaces_and_no_light(scene, calls):
     assert sorted(calls) == ["first_hits", "instance_ids", "light_scene"]
 
 
+def test_traits_trace_no_light(scene, calls):
+    Renderer(scene).render(camera(), ["chlorophyll", "leaf_age"])
+    assert sorted(calls) == ["first_hits", "instance_ids", "truth_scene"]
+
+
 def test_distance_computes_no_classes_and_normals(scene, calls):
     Renderer(scene).render(camera(), ["distance"])
     assert not {"class_ids", "normals", "depth_z", "light_scene"} & set(calls)

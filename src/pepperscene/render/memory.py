@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
-from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
+from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS, needs_surfaces
 from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
@@ -66,6 +66,8 @@ _FURTHER: Final = {
     "coverage": 55.0,
     "flow": 165.0,
     "stereo": 165.0,
+    **dict.fromkeys(TRAIT_OUTPUTS, 65.0),
+    "leaf_age": 30.0,
 }
 """Further bytes per pixel that one of these outputs takes while it is computed; measured."""
 _BESIDES: Final = {"albedo": 80e6, "amodal": 100e6}
@@ -75,9 +77,9 @@ images are 6 % and 14 % below the estimates."""
 _ROW_POSES: Final = 90.0
 """Further bytes per pixel of the outputs above if the rows of the image have poses of their own; measured 85
 to 90 for normals and flow."""
-_UV_PIXELS, _PER_UV_PIXEL = 1 << 20, 350.0
+_UV_PIXELS, _PER_UV_PIXEL, _PER_TRAIT_PIXEL = 1 << 20, 350.0, 420.0
 """Pixels whose surface coordinates are computed at a time, as in `pepperscene.render.aov.labels`, and bytes
-of each; measured 330 to 380."""
+of each, measured 330 to 380; and bytes of each for the contents of tissue."""
 
 _PER_IMAGER: Final = 60.0
 """Bytes per pixel of the light of the first imager while the second is traced, and of both images; chosen:
@@ -145,7 +147,9 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
         further += _ROW_POSES if camera.rows_move and further else 0.0
         per_pixel = max(per_pixel, held + _LABELS + further)
     total += sum(_BESIDES.get(name, 0.0) for name in labels)
-    if "uv" in labels:
+    if TRAIT_OUTPUTS.intersection(labels) - {"leaf_age"}:
+        total += _PER_TRAIT_PIXEL * min(pixels, _UV_PIXELS)
+    elif "uv" in labels:
         total += _PER_UV_PIXEL * min(pixels, _UV_PIXELS)
     total += per_pixel * pixels + sum(_image_size(name, camera) for name in outputs)
     return int(_MARGIN * total)

@@ -30,6 +30,7 @@ from pepperscene.frame import (
     DEPTH_CAMERA_OUTPUTS,
     OUTPUTS,
     STEREO_OUTPUTS,
+    TRAIT_OUTPUTS,
     Frame,
     check_outputs,
 )
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from pepperscene.render.aov.coverage import SceneCoverage
     from pepperscene.render.aov.harvest import SceneHarvest
     from pepperscene.render.aov.isolated import IsolatedOrgans
+    from pepperscene.render.aov.traits import SceneTraits
 
 FrameSky = Sky | Literal["scene"] | None
 """The sky of a frame, None for a frame without daylight, or "scene" for the sky of the scene."""
@@ -176,6 +178,8 @@ class Renderer:
             instances = labels.visible_instances(self.scene.mesh, instance)
             if "coverage" in requested:
                 images["coverage"] = self._coverage.image(self._kernel.truth_scene(), rays)
+            if traits := TRAIT_OUTPUTS.intersection(requested):
+                images |= self._traits.images(hits, camera, traits)
             for name in [name for name in ("flow", "stereo") if name in requested]:
                 from pepperscene.render.aov.flow import optical_flow
 
@@ -251,6 +255,12 @@ class Renderer:
         from pepperscene.render.aov.coverage import SceneCoverage
 
         return SceneCoverage(self.scene.mesh)
+
+    @functools.cached_property
+    def _traits(self) -> SceneTraits:
+        from pepperscene.render.aov.traits import SceneTraits
+
+        return SceneTraits(self.scene)
 
     @functools.cached_property
     def _harvest(self) -> SceneHarvest:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.check.findings import camera_integer, camera_pose
+from pepperscene.frame import TRAIT_OUTPUTS
 from pepperscene.truth import saturated_fraction
 
 _BLACK: Final = 2
@@ -24,6 +25,8 @@ _LENGTH_TOLERANCE: Final = 1e-3
 """Chosen: of a unit vector; float32 leaves 1e-6."""
 _TOLERANCE: Final = 1e-4
 """Chosen: of positions, in metres and as a fraction of the distance; float32 leaves 1e-6."""
+_MOST: Final = {"ripeness": 1.0, "leaf_age": 1.0}
+"""Greatest values of traits of tissue that have one."""
 _COVERAGE_TOLERANCE: Final = 8 * 2.0**-11
 """Of the sum of eight fractions in 16-bit floats, each rounded to half of 2^-10."""
 
@@ -61,7 +64,8 @@ def check_values(
     # Comparisons with nan are False, as required here, and need no warning.
     with np.errstate(invalid="ignore", over="ignore"):
         surfaces = partial(_check_surfaces, ignored=ignored)
-        for check in (_check_distances, _check_measured_depth, surfaces, _check_light, _check_flow):
+        checks = (_check_distances, _check_measured_depth, surfaces, _check_traits, _check_light, _check_flow)
+        for check in checks:
             for output, problem, pixels in check(images, sky, metadata):
                 if pixels.any():
                     yield "value", output, f"{np.count_nonzero(pixels)} pixels {problem}"
@@ -142,6 +146,15 @@ def _check_surfaces(
             # The ignored part of a pixel's area is of no class.
             wrong &= total > 1
         yield "coverage", "have class fractions whose sum is not 1", wrong
+
+
+def _check_traits(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
+    for output in sorted(TRAIT_OUTPUTS & images.keys()):
+        # Where a surface has no such trait, the value is not a number.
+        image, most = images[output], _MOST.get(output, np.finfo(np.float32).max)
+        yield output, "have a value outside its range", (image < 0) | (image > most)
+        if sky is not None:
+            yield output, "have a value where no surface is hit", ~np.isnan(image) & sky
 
 
 def _check_light(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:

@@ -2,10 +2,10 @@
 
 An EXR file has 32-bit float channels named by their content: `distance`; `depth_z`; `depth_sensor`;
 `depth_confidence`; `R`, `G`, `B` for electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for
-normals and positions; `U`, `V`; `flow.x`, `flow.y`, `visible`. Two outputs have 16-bit channels: albedo those
-of electrons, and coverage one for each class (`background`, `leaf`, ...). The header attribute `unit` holds
-their unit. Class images are palette PNGs: the pixel values are the class ids, and a viewer shows the class
-colours.
+normals and positions; `U`, `V`; `flow.x`, `flow.y`, `visible`; and `chlorophyll`, `carotenoids`, `water`,
+`ripeness`, `leaf_age`. Two outputs have 16-bit channels: albedo those of electrons, and coverage one for each
+class (`background`, `leaf`, ...). The header attribute `unit` holds their unit. Class images are palette
+PNGs: the pixel values are the class ids, and a viewer shows the class colours.
 
 PNG files have an encoder here: Pillow takes 1.9 to 3.7 times as long (colour of 800x600: 41 ms against 11;
 class, instance and distance code together 13 against 6, of a label frame's 47), for files of the same size,
@@ -46,6 +46,9 @@ _CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
 
 _LUMINANCE: Final = ("Y",)  # channel of electrons and albedo behind no colour filter
 
+_RUNS: Final = ("coverage", "leaf_age")
+"""Outputs whose rows consist of runs of equal values."""
+
 _UNITS: Final = {
     "electrons": "photo-electrons per photosite",
     "distance": "metres along the ray from the projection centre",
@@ -59,6 +62,11 @@ _UNITS: Final = {
     "flow": "pixels right and down to the next frame; 1 where visible there",
     "stereo": "pixels right and down in the partner's picture; 1 where visible there",
     "albedo": "diffuse reflectance, linear sRGB, 1 for white",
+    "chlorophyll": "micrograms per square centimetre",
+    "carotenoids": "micrograms per square centimetre",
+    "water": "grams per square centimetre, or centimetres of water",
+    "ripeness": "0 unripe to 1 ripe",
+    "leaf_age": "0 healthy to 1 dried up",
 }
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
@@ -161,7 +169,7 @@ def _exr_bytes(image: NDArray[Any], output: str) -> bytes:
     # six times the time (800x600: 16 and 55 ms against 3 and 6). Of normals it takes 58 %, but for 43 ms
     # against 6, most of what a frame's ground truth takes; of positions 18 % and of flow 35 %, for six times
     # the time. Coverage consists of runs of 0 and 1: 195 KiB instead of 7.3 MiB, for 16 ms against 8.
-    compression = OpenEXR.ZIP_COMPRESSION if output == "coverage" else OpenEXR.NO_COMPRESSION
+    compression = OpenEXR.ZIP_COMPRESSION if output in _RUNS else OpenEXR.NO_COMPRESSION
     header = {"compression": compression, "type": OpenEXR.scanlineimage, "unit": _UNITS[output]}
     channels = {name: np.ascontiguousarray(planes[..., axis]) for axis, name in enumerate(names)}
     # Into memory: to a file the library writes every line with a system call (4.0 ms against 2.3).
