@@ -7,6 +7,7 @@ from pepperscene.camera.auto_exposure import (
     metering_camera,
     with_exposure,
 )
+from pepperscene.camera.bands import Band
 from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
 from pepperscene.camera.depth_alignment import align_depth
 from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
@@ -38,9 +39,11 @@ from pepperscene.camera.sensor import Filter, Sensor
 from pepperscene.camera.sensor_files import load_filter, load_sensor
 from pepperscene.camera.stereo_matching import MatchedDepth, match_depth
 from pepperscene.camera.stray_light import Ghost, StrayLight
+from pepperscene.camera.white_reference import WhiteReference
 
 __all__ = [
     "AngularProfile",
+    "Band",
     "Camera",
     "ChosenExposure",
     "DepthCamera",
@@ -62,6 +65,7 @@ __all__ = [
     "StereoMatching",
     "StrayLight",
     "Trajectory",
+    "WhiteReference",
     "add_pedestal",
     "add_stray_light",
     "align_depth",

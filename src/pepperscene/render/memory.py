@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
-from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
+from pepperscene.frame import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
 from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
@@ -68,6 +68,9 @@ _FURTHER: Final = {
     "stereo": 165.0,
 }
 """Further bytes per pixel that one of these outputs takes while it is computed; measured."""
+_PER_BAND: Final = 32.0
+"""Bytes per pixel and band of the outputs of a sensor with bands: the signal, the electrons in double
+precision, what is measured of them, and the white reference; the sum of these arrays, not a measured peak."""
 _BESIDES: Final = {"albedo": 80e6, "amodal": 100e6}
 """Bytes of one of these outputs that hardly depend on the image: rays and code of `albedo`, whose images are
 gone before there are labels, and for `amodal` 4,096 organs that are kept, of 25 KB. Measured peaks of 4k
@@ -140,6 +143,8 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
             per_pixel += _DEMOSAIC * np.prod(camera.sensor.site_shape) / pixels
     else:
         held = 0.0
+    if bands := BAND_OUTPUTS.intersection(outputs):
+        per_pixel += (_PER_BAND if "reflectance" in bands else 0.5 * _PER_BAND) * camera.sensor.channels
     if labels:
         further = max(_FURTHER.get(name, 0.0) for name in labels)
         further += _ROW_POSES if camera.rows_move and further else 0.0
@@ -222,5 +227,5 @@ def _image_size(name: str, camera: Camera) -> float:
     if not output.is_image:
         return 0.0
     rows, columns = camera.sensor.site_shape if name == "raw" else (camera.height, camera.width)
-    channels = (camera.sensor.channels,) if output.channels == (1, 3) else output.channels
+    channels = (camera.sensor.channels,) if output.has_channels else output.channels
     return float(rows) * columns * int(np.prod(channels or (1,))) * np.dtype(output.dtype).itemsize

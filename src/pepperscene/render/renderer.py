@@ -17,6 +17,7 @@ from pepperscene.camera import (
     ChosenExposure,
     DepthCamera,
     ExposureControl,
+    WhiteReference,
     add_stray_light,
     choose_exposure,
     develop,
@@ -26,11 +27,13 @@ from pepperscene.camera import (
 )
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.frame import (
+    BAND_OUTPUTS,
     DEFAULT_OUTPUTS,
     DEPTH_CAMERA_OUTPUTS,
     OUTPUTS,
     STEREO_OUTPUTS,
     Frame,
+    check_band_outputs,
     check_outputs,
 )
 from pepperscene.render.aov import labels
@@ -108,12 +111,14 @@ class Renderer:
         sky: FrameSky = "scene",
         exposure_control: ExposureControl | None = None,
         depth_camera: DepthCamera | None = None,
+        white_reference: WhiteReference | None = None,
     ) -> Frame:
         """Render one frame; see `render_scene` for the other arguments.
 
         `sky` replaces the sky of the scene, None removes it, and "scene" keeps it; the geometry stays on the
         device in all cases. With `exposure_control`, exposure time and gain are chosen
         automatically for `camera`, and used for the other cameras too; only where light is traced.
+        `white_reference` is that of the output `reflectance`, by default the default one.
 
         Raises:
             InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`.
@@ -124,6 +129,8 @@ class Renderer:
         depths = DEPTH_CAMERA_OUTPUTS.intersection(requested)
         if depths and depth_camera is None:
             raise ArgumentError("depth_camera", f"is required for the output {min(depths)}")
+        bands = BAND_OUTPUTS.intersection(requested)
+        check_band_outputs(requested, camera.sensor.name, has_bands=camera.sensor.pattern == "bands")
         quality = resolve_quality(quality, target_error)
         scene = self._under(sky)
         images: dict[str, Any] = {}
@@ -143,6 +150,13 @@ class Renderer:
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
             signal, described["sampling"] = self._kernel.trace(camera, quality, sampling, scene)
             images |= _photographs(requested, signal, camera, noise)
+            if bands:
+                from pepperscene.render.band_images import band_images
+
+                panel, electrons = white_reference or WhiteReference(), images["electrons"]
+                measured = band_images(bands, signal, electrons, camera, scene, panel, noise)
+                images |= measured[0]
+                described |= measured[1]
         if "colour_stereo" in requested:
             # The third branch of the frame's seed gives the partner its own noise and samples.
             noise, sampling = np.random.SeedSequence(seed).spawn(3)[2].spawn(2)
