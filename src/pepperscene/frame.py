@@ -48,9 +48,11 @@ class Output:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """The length of the third axis; empty if there is none, or if the sensor decides it."""
-        third = re.search(r", (\d+)\)$", self.shape)
-        return () if third is None else (int(third[1]),)
+        """Lengths of the third axis, without those of sensors with bands; empty if there is no such axis."""
+        third = re.search(r", (\d+|c)\)$", self.shape)
+        if third is None:
+            return ()
+        return (1, 3) if third[1] == "c" else (int(third[1]),)
 
     @property
     def has_channels(self) -> bool:

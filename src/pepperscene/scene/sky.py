@@ -71,7 +71,7 @@ class Sky:
         return np.asarray((self.weights * _projected_solid_angles(rows, columns)).sum((1, 2)))
 
     def received_by(self, normal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """`(k,)` weight of each spectrum in the irradiance of an unobstructed plane with a normal `(3,)`, sr."""
+        """`(k,)` weight of each spectrum in the irradiance of a plane with a normal `(3,)`, sr."""
         rows, columns = self.weights.shape[1:]
         # Coarse maps would not resolve the plane's own horizon.
         down, right = max(-(-_ROWS // rows), 1), max(-(-2 * _ROWS // columns), 1)

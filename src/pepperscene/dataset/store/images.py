@@ -2,11 +2,11 @@
 
 An EXR file has 32-bit float channels named by their content: `distance`; `depth_z`; `depth_sensor`;
 `depth_confidence`; `R`, `G`, `B` for electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for
-normals and positions; `U`, `V`; `flow.x`, `flow.y`, `visible`. Channels of a sensor with bands have number and
-centre, `B01.475nm`, and the header attributes `wavelength_nm` and `fwhm_nm` list centres and widths. Two
-outputs have 16-bit channels: albedo those of electrons, and coverage one for each class (`background`,
-`leaf`, ...). The header attribute `unit` holds their unit. Class images are palette PNGs: the pixel values are the class ids, and a viewer shows the class
-colours.
+normals and positions; `U`, `V`; `flow.x`, `flow.y`, `visible`. Channels of a sensor with bands have their
+number and centre, `B01.475nm`; header attributes list the centres and widths. Two outputs have 16-bit
+channels: albedo those of electrons, and coverage one for each class (`background`, `leaf`, ...). The header
+attribute `unit` holds their unit. Class images are palette PNGs: the pixel values are the class ids, and a
+viewer shows the class colours.
 
 PNG files have an encoder here: Pillow takes 1.9 to 3.7 times as long (colour of 800x600: 41 ms against 11;
 class, instance and distance code together 13 against 6, of a label frame's 47), for files of the same size,
@@ -184,6 +184,8 @@ def _channel_names(count: int, output: str, bands: Sequence[Band]) -> Sequence[s
     if OUTPUTS[output].has_channels:
         if bands or output in BAND_OUTPUTS:
             return band_channels(count, bands)
+        if count not in (1, 3):
+            raise ValueError(f"{output} with {count} channels needs the bands of the sensor")
         return _LUMINANCE if count == 1 else _CHANNELS[output]
     return _CHANNELS[output]
 
