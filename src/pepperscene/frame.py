@@ -124,6 +124,10 @@ DEPTH_CAMERA_OUTPUTS: Final = frozenset({"depth_sensor", "depth_confidence", "im
 """Outputs that need a depth camera."""
 
 
+COLOUR_OUTPUTS: Final = frozenset({"colour", "raw", "colour_stereo", "albedo"})
+"""Outputs of sensors with colours, or monochrome ones: a sensor with bands has none of them."""
+
+
 def needs_surfaces(names: Iterable[str]) -> bool:
     """Whether one of these outputs needs the spectra of a scene's surfaces."""
     return any(OUTPUTS[name].traced or OUTPUTS[name].shows_surfaces for name in names)

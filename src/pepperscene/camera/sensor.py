@@ -1,4 +1,4 @@
-"""The image sensor: Bayer or monochrome photosites, and the filter in front of them."""
+"""The image sensor: Bayer or monochrome photosites, or bands, and the filter in front of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera.area_average import AreaAverage
 from pepperscene.spectra import Spectrum, photons_per_joule
 
-Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono"]
+Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono", "bands"]
 _BAYER: Final[tuple[Pattern, ...]] = ("rggb", "bggr", "grbg", "gbrg")
 MAX_BITS: Final = 16  # digital numbers are stored in 16 bits
 
@@ -26,18 +26,21 @@ class Sensor:
     means of its photosites of that colour, without interpolation. With a binning of 1, every photosite is a
     pixel, and its two other colours are demosaiced. On a monochrome sensor, a pixel is the mean of its block.
     With a `reduction`, all photosites are read out and demosaiced, and a pixel is the mean over its area.
+    A sensor with bands has all of them in every pixel, as a filter wheel, a lens for each band, or a line
+    scanner gives them: each band is an image of its own, as of a monochrome sensor.
 
     Attributes:
         columns, rows: size of the image.
         pitch_m: pitch of the photosites.
         quantum_efficiency: `(c, n)` photo-electrons per incident photon (the spectral response functions,
-            SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, or 1.
+            SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, 1, or
+            any number of bands.
         full_well_e: electrons at which a photosite is full.
         read_noise_e: temporal dark noise of one photosite (standard deviation), in electrons, at every gain.
         bits: resolution of the analogue-to-digital converter, 1 to 16.
         black_level_dn: digital number of a dark photosite.
         binning: photosites per pixel and direction: 1 or even on Bayer sensors, any on monochrome ones.
-        pattern: colours of the upper left quad, row by row; "mono" if and only if c is 1.
+        pattern: colours of the upper left quad, row by row; "mono" for a single channel, or "bands".
         gain: gain of the amplifier; at 1 a full well reaches full scale, at 2 half a full well does.
         reduction: photosites per pixel and direction of a mode that averages areas, at least 1, with a
             binning of 1; None: `binning` decides.
@@ -62,9 +65,11 @@ class Sensor:
 
     def __post_init__(self) -> None:
         qe = self.quantum_efficiency.values
-        if qe.ndim != 2 or len(qe) not in (1, 3) or not (qe.min() >= 0 and qe.max() <= 1):
-            raise ValueError(f"{self.name}: quantum efficiency must be (3, n) or (1, n) within [0, 1]")
-        if self.pattern not in (*_BAYER, "mono") or (self.pattern == "mono") != (len(qe) == 1):
+        if qe.ndim != 2 or not (qe.min() >= 0 and qe.max() <= 1):
+            raise ValueError(f"{self.name}: quantum efficiency must be (c, n) within [0, 1]")
+        if self.pattern != "bands" and (
+            self.pattern not in (*_BAYER, "mono") or len(qe) != (1 if self.pattern == "mono" else 3)
+        ):
             raise ValueError(f"{self.name}: pattern {self.pattern!r} does not match {len(qe)} colours")
         error = binning_error(self.pattern, self.binning, self.columns, self.rows, self.reduction)
         if error:
@@ -83,7 +88,7 @@ class Sensor:
 
     @property
     def channels(self) -> int:
-        """Number of colours of its photosites: 3, or 1 on a monochrome sensor."""
+        """Number of colours of its photosites: 3, or 1 on a monochrome sensor; or of its bands."""
         return len(self.quantum_efficiency.values)
 
     @property
@@ -125,9 +130,11 @@ class Sensor:
         """
         if self.areas is not None:
             count = self.areas[0].count * self.areas[1].count
-            return (count,) if self.channels == 1 else tuple(max(count * n / 4, 1.0) for n in (1, 2, 1))
-        if self.channels == 1:
-            return (self.binning**2,)
+            if self.pattern in ("mono", "bands"):
+                return (count,) * self.channels
+            return tuple(max(count * n / 4, 1.0) for n in (1, 2, 1))
+        if self.pattern in ("mono", "bands"):
+            return (self.binning**2,) * self.channels
         quads = max(self.binning // 2, 1) ** 2
         return quads, 2 * quads if self.binning > 1 else 1, quads
 
@@ -197,7 +204,7 @@ def binning_error(
         return (
             "" if binning == 1 and reduction >= 1 else "a reduction must be at least 1, with a binning of 1"
         )
-    if pattern == "mono":
+    if pattern in ("mono", "bands"):
         return ""
     if binning % 2 and binning != 1:
         return f"binning must be 1 or even on a Bayer pattern, as blocks hold whole quads, not {binning}"
@@ -208,7 +215,7 @@ def binning_error(
 
 def _shifted_pattern(pattern: Pattern, left: int, top: int) -> Pattern:
     """The pattern of the photosites from a column and a row on."""
-    if pattern == "mono":
+    if pattern in ("mono", "bands"):
         return pattern
     letters = (pattern[2 * ((row + top) % 2) + (column + left) % 2] for row in (0, 1) for column in (0, 1))
     shifted = "".join(letters)

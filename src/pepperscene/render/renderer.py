@@ -26,6 +26,7 @@ from pepperscene.camera import (
 )
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.frame import (
+    COLOUR_OUTPUTS,
     DEFAULT_OUTPUTS,
     DEPTH_CAMERA_OUTPUTS,
     OUTPUTS,
@@ -116,10 +117,12 @@ class Renderer:
         automatically for `camera`, and used for the other cameras too; only where light is traced.
 
         Raises:
-            InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`.
+            InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`, or
+                its sensor has bands and an output needs colours.
             SetupError: as `render_scene`.
         """
         requested = check_outputs(outputs)
+        _check_sensor(requested, camera)
         others = _check_others(requested, others or {})
         depths = DEPTH_CAMERA_OUTPUTS.intersection(requested)
         if depths and depth_camera is None:
@@ -263,6 +266,14 @@ class Renderer:
         from pepperscene.render.aov.isolated import IsolatedOrgans
 
         return IsolatedOrgans(self.scene.mesh)
+
+
+def _check_sensor(requested: tuple[str, ...], camera: Camera) -> None:
+    """Reject outputs that the sensor does not have."""
+    for name in requested:
+        if name in COLOUR_OUTPUTS and camera.sensor.pattern == "bands":
+            problem = f"{name!r} needs a colour or monochrome sensor; {camera.sensor.name} has bands: use"
+            raise ArgumentError("outputs", f"{problem} 'electrons'")
 
 
 def _check_others(requested: tuple[str, ...], others: Mapping[str, Camera]) -> Mapping[str, Camera]:
