@@ -145,14 +145,15 @@ OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
 BAND_OUTPUTS: Final = frozenset({"bands", "radiance", "reflectance"})
 """Outputs that need a sensor with bands."""
 
-PHOTOGRAPHS: Final = frozenset({"colour", "raw", "colour_stereo"})
-"""Outputs that a sensor with bands does not have."""
-
 STEREO_OUTPUTS: Final = frozenset({"stereo", "colour_stereo"})
 """Outputs that need a stereo camera."""
 
 DEPTH_CAMERA_OUTPUTS: Final = frozenset({"depth_sensor", "depth_confidence", "imager_left", "imager_right"})
 """Outputs that need a depth camera."""
+
+
+COLOUR_OUTPUTS: Final = frozenset({"colour", "raw", "colour_stereo", "albedo"})
+"""Outputs of sensors with colours, or monochrome ones: a sensor with bands has none of them."""
 
 
 def needs_surfaces(names: Iterable[str]) -> bool:
@@ -161,14 +162,14 @@ def needs_surfaces(names: Iterable[str]) -> bool:
 
 
 def check_band_outputs(names: Iterable[str], sensor: str, *, has_bands: bool) -> None:
-    """Raise `ArgumentError` if an output needs a sensor with bands, or one that makes photographs."""
-    wrong = (PHOTOGRAPHS if has_bands else BAND_OUTPUTS).intersection(names)
+    """Raise `ArgumentError` if an output needs a sensor with bands, or one without."""
+    wrong = (COLOUR_OUTPUTS if has_bands else BAND_OUTPUTS).intersection(names)
     if wrong and has_bands:
-        others = ", ".join(name for name in OUTPUTS if name in BAND_OUTPUTS)
-        problem = f"{sensor} has bands and makes no photograph: instead of {min(wrong)}, choose from {others}"
+        others = ", ".join(["electrons", *(name for name in OUTPUTS if name in BAND_OUTPUTS)])
+        problem = f"{min(wrong)!r} needs a colour or monochrome sensor; {sensor} has bands: use {others}"
         raise ArgumentError("outputs", problem)
     if wrong:
-        raise ArgumentError("outputs", f"{min(wrong)} needs a sensor with bands, which {sensor} has not")
+        raise ArgumentError("outputs", f"{min(wrong)!r} needs a sensor with bands, which {sensor} has not")
 
 
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")

@@ -8,7 +8,7 @@ from pepperscene.camera.auto_exposure import (
     with_exposure,
 )
 from pepperscene.camera.bands import Band
-from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
+from pepperscene.camera.camera import Camera, electrons_per_light, expected_electrons, relative_illumination
 from pepperscene.camera.depth_alignment import align_depth
 from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
 from pepperscene.camera.developing import (
@@ -19,6 +19,7 @@ from pepperscene.camera.developing import (
     decode_tone,
     develop,
     encode_tone,
+    measured_electrons,
     pedestal,
     raw_frame,
     reference_correction,
@@ -76,6 +77,7 @@ __all__ = [
     "correct_colours",
     "decode_tone",
     "develop",
+    "electrons_per_light",
     "encode_tone",
     "expected_electrons",
     "grid_poses",
@@ -86,6 +88,7 @@ __all__ = [
     "load_sensor",
     "look_at",
     "match_depth",
+    "measured_electrons",
     "metering_camera",
     "pedestal",
     "protocol_poses",

@@ -308,10 +308,15 @@ def expected_electrons(signal: ArrayLike, camera: Camera) -> NDArray[np.float64]
         ValueError: the signal does not have the image's shape.
     """
     light = np.asarray(signal, dtype=float)
-    lens, sensor = camera.lens, camera.sensor
-    shape = (camera.height, camera.width, sensor.channels)
+    shape = (camera.height, camera.width, camera.sensor.channels)
     if light.shape != shape:
         raise ValueError(f"a signal must have the shape {shape}, not {light.shape}")
+    return light * electrons_per_light(camera)[..., None]
+
+
+def electrons_per_light(camera: Camera) -> NDArray[np.float64]:
+    """`(h, w)` factor of each pixel from light to electrons; see `expected_electrons`."""
+    lens, sensor = camera.lens, camera.sensor
     solid_angle = math.pi / (4 * lens.f_number**2) / lens.fy_over_fx
     on_axis = sensor.pitch_m**2 * camera.exposure_s * solid_angle * lens.transmittance
-    return light * (on_axis * relative_illumination(camera))[..., None]
+    return np.asarray(on_axis * relative_illumination(camera))

@@ -1,4 +1,4 @@
-"""The image sensor: Bayer or monochrome photosites, and the filter in front of them."""
+"""The image sensor: Bayer or monochrome photosites, or bands, and the filter in front of them."""
 
 from __future__ import annotations
 
@@ -28,18 +28,21 @@ class Sensor:
     means of its photosites of that colour, without interpolation. With a binning of 1, every photosite is a
     pixel, and its two other colours are demosaiced. On a monochrome sensor, a pixel is the mean of its block.
     With a `reduction`, all photosites are read out and demosaiced, and a pixel is the mean over its area.
+    A sensor with bands has all of them in every pixel, as a filter wheel, a lens for each band, or a line
+    scanner gives them: each band is an image of its own, as of a monochrome sensor.
 
     Attributes:
         columns, rows: size of the image.
         pitch_m: pitch of the photosites.
         quantum_efficiency: `(c, n)` photo-electrons per incident photon (the spectral response functions,
-            SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, or 1.
+            SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, 1, or
+            any number of bands.
         full_well_e: electrons at which a photosite is full.
         read_noise_e: temporal dark noise of one photosite (standard deviation), in electrons, at every gain.
         bits: resolution of the analogue-to-digital converter, 1 to 16.
         black_level_dn: digital number of a dark photosite.
         binning: photosites per pixel and direction: 1 or even on Bayer sensors, any on monochrome ones.
-        pattern: colours of the upper left quad, row by row; "mono" if and only if c is 1.
+        pattern: colours of the upper left quad, row by row; "mono" for a single channel, or "bands".
         gain: gain of the amplifier; at 1 a full well reaches full scale, at 2 half a full well does.
         reduction: photosites per pixel and direction of a mode that averages areas, at least 1, with a
             binning of 1; None: `binning` decides.
@@ -98,7 +101,7 @@ class Sensor:
 
     @property
     def channels(self) -> int:
-        """Number of colours of its photosites: 3, or 1 on a monochrome sensor."""
+        """Number of colours of its photosites: 3, or 1 on a monochrome sensor; or of its bands."""
         return len(self.quantum_efficiency.values)
 
     @property

@@ -121,16 +121,17 @@ class Renderer:
         `white_reference` is that of the output `reflectance`, by default the default one.
 
         Raises:
-            InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`.
+            InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`, or
+                its sensor does not have an output.
             SetupError: as `render_scene`.
         """
         requested = check_outputs(outputs)
+        check_band_outputs(requested, camera.sensor.name, has_bands=camera.sensor.pattern == "bands")
         others = _check_others(requested, others or {})
         depths = DEPTH_CAMERA_OUTPUTS.intersection(requested)
         if depths and depth_camera is None:
             raise ArgumentError("depth_camera", f"is required for the output {min(depths)}")
         bands = BAND_OUTPUTS.intersection(requested)
-        check_band_outputs(requested, camera.sensor.name, has_bands=camera.sensor.pattern == "bands")
         quality = resolve_quality(quality, target_error)
         scene = self._under(sky)
         images: dict[str, Any] = {}

@@ -240,12 +240,14 @@ class SpectralResponse:
             lambda / (h c).
         flash: `(n,)` W sr-1 nm-1 on the axis of the flash, averaged over the exposure; zeros without a flash.
         density: `(n,)` wavelength sampling density: response times expected light.
+        by_band: whether the channels are bands, which are computed a few at a time.
     """
 
     grid_nm: NDArray[np.float64]
     electrons_per_joule: NDArray[np.float64]
     flash: NDArray[np.float64]
     density: NDArray[np.float64]
+    by_band: bool = False
 
     @property
     def trapezoid_nm(self) -> NDArray[np.float64]:
@@ -290,7 +292,7 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
     response = (electrons / np.where(peaks > 0, peaks, 1.0)).sum(axis=1)
     density = response * (np.mean(lights, axis=0) if lights else np.ones(grid.size))
     density = density / density.sum() + response / response.sum() + 1e-3 / grid.size
-    return SpectralResponse(grid, electrons, flash, density)
+    return SpectralResponse(grid, electrons, flash, density, camera.sensor.pattern == "bands")
 
 
 def detected_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
