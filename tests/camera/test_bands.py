@@ -9,10 +9,11 @@ import tomli_w
 from pepperscene.camera import Band, load_sensor
 from pepperscene.camera.bands import band_curves, describe_bands
 from pepperscene.errors import InputError
+from pepperscene.spectra import Spectrum
 
 SENSOR = {
-    "name": "bands", "kind": "MODEL", "columns": 8, "rows": 6, "pattern": "bands", "binning": 1, "pitch_um": 4.0,
-    "full_well_e": 10_000, "read_noise_e": 5, "bits": 12, "black_level_dn": 10,
+    "name": "bands", "kind": "MODEL", "columns": 8, "rows": 6, "pattern": "bands", "binning": 1,
+    "pitch_um": 4.0, "full_well_e": 10_000, "read_noise_e": 5, "bits": 12, "black_level_dn": 10,
 }  # fmt: skip
 FIVE = [
     ("blue", 475.0, 32.0), ("green", 560.0, 27.0), ("red", 668.0, 14.0), ("red edge", 717.0, 12.0),
@@ -43,7 +44,12 @@ def test_gaussian_is_half_as_high_half_a_width_beside_its_centre():
 def test_box_has_its_width_and_area(centre):
     curve = band_curves([centre], [20.0], [0.5], ["box"])
     assert curve.integral()[0] == pytest.approx(10.0, rel=1e-9)
-    assert curve.at([centre - 10.5, centre - 9.5, centre + 9.5, centre + 10.5])[0].tolist() == [0, 0.5, 0.5, 0]
+    assert curve.at([centre - 10.5, centre - 9.5, centre + 9.5, centre + 10.5])[0].tolist() == [
+        0,
+        0.5,
+        0.5,
+        0,
+    ]
     (band,) = describe_bands(curve)
     assert (band.centre_nm, band.width_nm) == pytest.approx((centre, 20.0), abs=0.011)
 
@@ -78,8 +84,6 @@ def test_efficiency_of_the_photosites_multiplies_all_bands(tmp_path):
 
 
 def test_filter_in_front_moves_the_band(tmp_path):
-    from pepperscene.spectra import Spectrum
-
     sensor = load(tmp_path, {"bands": [{"centre_nm": 600, "width_nm": 40, "shape": "box"}]})
     (band,) = sensor.with_filter(Spectrum(np.array([600.0, 700.0]), np.ones(2))).bands
     assert (band.centre_nm, band.width_nm) == pytest.approx((610.0, 20.0), abs=0.2)
@@ -87,6 +91,9 @@ def test_filter_in_front_moves_the_band(tmp_path):
 
 BAND = {"centre_nm": 500, "width_nm": 20}
 REGULAR = {"first_nm": 400, "last_nm": 900, "count": 5, "width_nm": 5}
+THREE = {"file": "curves.csv", "columns": ["first"] * 3}
+COLOURS = {"pattern": "rggb", "binning": 2, "quantum_efficiency": THREE}
+BLIND = {"bands": [{"centre_nm": 900, "width_nm": 20}]}
 
 
 @pytest.mark.parametrize(
@@ -105,17 +112,20 @@ REGULAR = {"first_nm": 400, "last_nm": 900, "count": 5, "width_nm": 5}
         ({"regular_bands": {**REGULAR, "count": 1}}, "regular_bands.count", "greater than or equal to 2"),
         ({"regular_bands": {**REGULAR, "last_nm": 300}}, "regular_bands", "must be below last_nm"),
         ({"band_curves": {"file": "no.csv"}}, "band_curves.file", "is not a file in the same folder"),
-        ({"band_curves": {"file": "curves.csv", "columns": ["x"]}}, "band_curves.columns", "different columns of"),
+        (
+            {"band_curves": {"file": "curves.csv", "columns": ["x"]}},
+            "band_curves.columns", "different columns of",
+        ),
         ({"pattern": "mono", "bands": [BAND]}, "", 'bands needs the pattern "bands"'),
         ({"pattern": "mono"}, "", "quantum_efficiency is required but missing"),
         (
-            {"bands": [{"centre_nm": 900, "width_nm": 20}], "quantum_efficiency": {"file": "curves.csv", "columns": ["first"]}},
+            {**BLIND, "quantum_efficiency": {"file": "curves.csv", "columns": ["first"]}},
             "maximum of the band 1", "must reach at least",
         ),
         ({"bands": [BAND], "line_scan": True}, "", "line_scan needs a line_time_us above 0"),
         ({"bands": [BAND], "line_time_us": 20_000}, "", "must be at most 10000, or 1e+07 with line_scan"),
         (
-            {"pattern": "rggb", "binning": 2, "line_scan": True, "line_time_us": 100, "quantum_efficiency": {"file": "curves.csv", "columns": ["first"] * 3}},
+            {**COLOURS, "line_scan": True, "line_time_us": 100},
             "", 'line_scan needs the pattern "mono" or "bands"',
         ),
     ],

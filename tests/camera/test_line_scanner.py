@@ -43,8 +43,8 @@ def test_all_rows_look_in_the_same_directions():
 def test_a_point_is_in_the_row_at_whose_time_the_line_passes_it():
     # Moving along y at s, the line is at s t: it passes y at t = y / s.
     camera = scanner()
-    x, y, z = points = np.random.default_rng(1).uniform([[-0.2], [-0.1], [0.5]], [[0.2], [0.1], [2.0]], (3, 50))
-    u, v = camera.project(points.T).T
+    points = np.random.default_rng(1).uniform([-0.2, -0.1, 0.5], [0.2, 0.1, 2.0], (50, 3))
+    (x, y, z), (u, v) = points.T, camera.project(points).T
     line_time_s, matrix = camera.sensor.line_time_s, camera.intrinsics
     np.testing.assert_allclose(v, y / SPEED_M_S / line_time_s + LINES / 2, atol=1e-9)
     np.testing.assert_allclose(u, matrix[0, 0] * x / z + COLUMNS / 2, atol=1e-9)
@@ -52,9 +52,13 @@ def test_a_point_is_in_the_row_at_whose_time_the_line_passes_it():
 
 @pytest.mark.parametrize(
     "motion",
-    [Motion((0.01, SPEED_M_S, -0.05)), Motion((0.0, 0.0, 0.0), (0.3, 0.0, 0.0)), Motion((0.02, 0.1, 0.0), (0.1, 0.05, 0.2))],
+    [
+        Motion((0.01, SPEED_M_S, -0.05)),
+        Motion((0.0, 0.0, 0.0), (-0.3, 0.0, 0.0)),
+        Motion((0.02, 0.1, 0.0), (-0.1, 0.05, 0.2)),
+    ],
     ids=["across", "turning", "both"],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("distortion", [{}, {"k1": -0.15, "p1": 0.002}], ids=["ideal", "distorted"])
 def test_points_on_the_rays_of_pixels_project_to_their_centres(motion, distortion):
     camera = scanner(motion, **distortion)
