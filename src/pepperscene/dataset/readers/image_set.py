@@ -18,7 +18,10 @@ VOID: Final = IGNORE_CLASS
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 
-ARRAYS: Final = ("colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m")
+ARRAYS: Final = (
+    "colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m", "reflectance", "radiance",
+    "bands",
+)  # fmt: skip
 """Fields of `LabelledImage` that are arrays of the image's size."""
 
 FIELDS: Final = (*ARRAYS, "metadata")
@@ -38,6 +41,9 @@ class LabelledImage:
         depth_z_m: `(h, w)` float32, metres along the optical axis, inf for none.
         depth_sensor_m: `(h, w)` float32, metres along the optical axis as a depth camera measured them, nan
             for holes.
+        reflectance: `(h, w, c)` float32, of each band relative to a white reference.
+        radiance: `(h, w, c)` float32, W m-2 sr-1 nm-1 in each band.
+        bands: `(h, w, c)` float32, measured electrons of each band, which the metadata describe.
         metadata: further metadata: the JSON of a rendered frame, the files of an image in a folder.
     """
 
@@ -48,6 +54,9 @@ class LabelledImage:
     distance_m: NDArray[np.float32] | None = None
     depth_z_m: NDArray[np.float32] | None = None
     depth_sensor_m: NDArray[np.float32] | None = None
+    reflectance: NDArray[np.float32] | None = None
+    radiance: NDArray[np.float32] | None = None
+    bands: NDArray[np.float32] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

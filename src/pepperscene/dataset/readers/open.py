@@ -28,6 +28,9 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
     "distance_m": (("distance", None), ("distance_code", distance_from_code)),
     "depth_z_m": (("depth_z", None),),
     "depth_sensor_m": (("depth_sensor", None),),
+    "reflectance": (("reflectance", None),),
+    "radiance": (("radiance", None),),
+    "bands": (("bands", None),),
 }
 """Outputs that a field can be read from, the best first, and how to decode them."""
 
