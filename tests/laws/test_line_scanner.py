@@ -13,6 +13,7 @@ from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import assemble_scene
+from pepperscene.spectra import Spectrum
 
 LINES, COLUMNS = 60, 64
 DISTANCE_M = 0.5
@@ -21,11 +22,11 @@ QUALITY = Quality(samples=64, soft=16, most=64, bounces=0, target=None, denoise=
 SURFACES = {name: lambertian_surface(name, value) for name, value in (("dark", 0.05), ("light", 0.8))}
 
 
-def scanner(**changes):
+def scanner():
     """A scanner with square pixels of 5.4 mm at the card, which moves down the image."""
-    sensor = replace(load_sensor("generic_line_scanner_vnir"), pattern="mono", line_time_s=0.01)
-    curve = replace(sensor.quantum_efficiency, values=sensor.quantum_efficiency.values.max(0)[None])
-    sensor = replace(sensor, quantum_efficiency=curve, **changes).with_size(COLUMNS, LINES)
+    shipped = load_sensor("generic_line_scanner_vnir")
+    grey = Spectrum(shipped.quantum_efficiency.wavelength_nm, shipped.quantum_efficiency.values.max(0)[None])
+    sensor = replace(shipped, pattern="mono", quantum_efficiency=grey).with_size(COLUMNS, LINES)
     lens = load_lens("generic_line_scanner_38deg")
     speed = DISTANCE_M * sensor.pixel_pitch_m / lens.focal_length_m / sensor.line_time_s
     motion = Motion((0.0, speed, 0.0), (0.0, 0.0, 0.1))
