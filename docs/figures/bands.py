@@ -8,6 +8,7 @@ Frames are cached in the folder `pepperscene_bands` of the system's folder for t
 from __future__ import annotations
 
 import io
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any, Final
@@ -126,9 +127,8 @@ def main() -> None:
     sheet.thumbnail((1600, 1600))
     sheet.save(IMAGES / "gallery_bands.jpg", quality=80, optimize=True, progressive=True)
     leaf = images[FRAME][data.image(FRAME, "class") == ps.OrganClass.LEAF]
-    print(
-        "reflectance of leaf pixels by band:", leaf.mean(axis=0).round(3), "NDVI", ndvi(leaf).mean().round(3)
-    )
+    means, index = leaf.mean(axis=0).round(3).tolist(), float(ndvi(leaf).mean())
+    sys.stdout.write(f"reflectance of leaf pixels by band: {means}; NDVI {index:.3f}\n")
 
     lines = data_set("line_scanner", ["reflectance", "class", "instance"])
     spectra(lines).save(IMAGES / "band_spectra.png", optimize=True)
