@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from pepperscene.render.kernel.arrays import device_uint
+from pepperscene.render.kernel.arrays import BATCH, channel_array, device_uint
 from pepperscene.render.surface.body import BodyPlace
 from pepperscene.render.surface.scattering import SurfacePoint, by_lobe
 from pepperscene.render.transport.band_records import Vertex, arrays, finite, follow
@@ -49,6 +49,20 @@ class Paths:
     ray: Any | None = None
     active: Any = None
     throughput: Any = None
+
+    def subset(self, lanes: Any) -> Paths:
+        """The ends of the paths of some lanes, all of which go on."""
+        mi, dr = mitsuba_modules()
+        ray = mi.Ray3f(dr.gather(mi.Point3f, self.ray.o, lanes), dr.gather(mi.Vector3f, self.ray.d, lanes))
+        paths = Paths(
+            dr.gather(mi.UInt32, self.slot, lanes),
+            [],
+            ray,
+            dr.opaque(mi.Bool, True, dr.width(lanes)),
+            dr.gather(mi.Color3f, self.throughput, lanes),
+        )
+        dr.eval(paths.slot, ray, paths.throughput)
+        return paths
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,32 +163,70 @@ class PathTracer:
     def finish(self, samples: Samples, paths: Paths) -> list[Any]:
         """Light of each batch of all paths, until Russian roulette ends them.
 
-        Each bounce is traced for all bands, and then added to what the paths carry in each.
+        Each bounce is traced for all bands, and then added to what the paths carry in each. Whenever half of
+        the paths have ended, the others move together.
         """
-        _, dr = mitsuba_modules()
+        mi, dr = mitsuba_modules()
         firsts = [device_uint(start) for start in self.bands.batches]
         states: list[Any] = []
         for first in firsts:
             states.append(follow(self.bands, paths.vertices, paths.slot, first, None))
             dr.eval(states[-1])
         paths.vertices.clear()
-        ray, active, throughput = paths.ray, paths.active, paths.throughput
+        total: list[Any] = [light for _, light in states]
+        states = [(throughput, None) for throughput, _ in states]
+        lanes = dr.arange(mi.UInt32, dr.width(paths.slot))
+        bounces, most = self.lengths
         # As kernel data, so that all bounces have the same code.
         samples.sequence.dimension = device_uint(samples.sequence.dimension)
-        bounces, most = self.lengths
         for bounce in range(bounces, most + 1):
-            front, vertex = self._arrive(samples, ray, active, throughput)
+            alive = int(dr.count(paths.active)[0])
+            if not alive:
+                break
+            if bounce == bounces or 2 * alive <= dr.width(lanes):
+                kept = dr.compress(paths.active)
+                _add_light(total, states, lanes)
+                lanes = dr.gather(mi.UInt32, lanes, kept)
+                samples, paths = samples.subset(kept), paths.subset(kept)
+                states = [(_gathered(throughput, kept), _nothing(alive)) for throughput, _ in states]
+                dr.eval(lanes, states)
+            front, vertex = self._arrive(samples, paths.ray, paths.active, paths.throughput)
             goes_on = device_uint(bounce) < most
             front.active &= goes_on
             vertex.flash, vertex.sun = (
                 None if light is None else light & goes_on for light in (vertex.flash, vertex.sun)
             )
-            ray, active, throughput = self._scatter(samples, front, vertex, LONG_ROULETTE)
-            dr.eval(arrays(vertex), ray, active, throughput)
+            step = self._scatter(samples, front, vertex, LONG_ROULETTE)
+            paths.ray, paths.active, paths.throughput = step
+            dr.eval(arrays(vertex), step)
             dr.eval(samples.sequence.dimension)
             for number, first in enumerate(firsts):
                 states[number] = follow(self.bands, [vertex], paths.slot, first, states[number])
                 dr.eval(states[number])
-            if not dr.any(active)[0]:
-                break
-        return [light for _, light in states]
+        _add_light(total, states, lanes)
+        return total
+
+
+def _add_light(total: list[Any], states: list[Any], lanes: Any) -> None:
+    """Add the light of some lanes to that of all."""
+    mi, dr = mitsuba_modules()
+    for number, (_, light) in enumerate(states):
+        if light is None:
+            continue
+        for k in range(BATCH):
+            whole = total[number][k]
+            dr.scatter(whole, dr.gather(mi.Float, whole, lanes) + light[k], lanes)
+            total[number][k] = whole
+        dr.eval(total[number])
+
+
+def _gathered(values: Any, lanes: Any) -> Any:
+    """Some lanes of the values of a batch."""
+    mi, dr = mitsuba_modules()
+    return channel_array(BATCH)(*(dr.gather(mi.Float, values[k], lanes) for k in range(BATCH)))
+
+
+def _nothing(width: int) -> Any:
+    """Zeros that kernels read as data."""
+    mi, dr = mitsuba_modules()
+    return channel_array(BATCH)(*(dr.opaque(mi.Float, 0.0, width) for _ in range(BATCH)))
