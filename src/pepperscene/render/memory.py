@@ -39,7 +39,11 @@ device's copy with 4, and a third of that for the filtered slopes, twice; 131 MB
 sum of these arrays for `kaite`, not a measured peak."""
 
 _WAVEFRONT: Final = 1 << 20
-"""Samples that are traced at a time, at most: `_LANES` of `pepperscene.render.transport.trace`."""
+"""Samples that are traced at a time, at most: `LANES` of `pepperscene.render.transport.wavefront`."""
+_BAND_WAVEFRONT, _BAND_VALUES = 1 << 18, 1 << 24
+"""The same of a sensor with bands, and its samples times bands; see `render.transport.band_light`."""
+_SHARED_VALUES: Final = 80
+"""Values of a sample that all bands share: 20 of each of four vertices of a path."""
 
 _PER_BOUNCE: Final = 30e6  # bytes of the code for one more scattering event, and of compiling it; measured
 
@@ -185,6 +189,10 @@ def reserved_address_space() -> int:
 def _device_memory(camera: Camera, quality: Quality) -> float:
     """Bytes of the values and sums of wavefronts that Dr.Jit keeps; it rounds sizes up to powers of two."""
     pixels, channels, total = camera.width * camera.height, camera.sensor.channels, 0.0
+    if camera.sensor.pattern == "bands":
+        # Long paths carry their light and its factor in each band.
+        lanes = min(_BAND_WAVEFRONT, _BAND_VALUES // channels)
+        return 4.0 * _rounded(lanes) * (_SHARED_VALUES + (2 * channels if quality.most_bounces else 0))
     first = min(quality.soft, quality.samples)
     # Numbers of values as of the functions `_all_light` and `_direct_light` of the integrator.
     passes = ((first, 4 * channels + 6), (quality.samples - first, 3 * channels + 5))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
 from typing import Any, Final
 
 from pepperscene.render.surface.optics import STEP_NM
@@ -30,7 +32,18 @@ class Samples:
         # The flash is on the camera: it lights what a ray sees from where both are at the ray's time.
         self.pose = rays.pose(row, self.next_1d)
         start, direction = rays.sample_rays(self.pose, column, row, point, self.next_2d)
-        self.ray = mi.Ray3f(start, direction)
+        self.ray: Any = mi.Ray3f(start, direction)
+
+    def subset(self, lanes: Any) -> Samples:
+        """Some lanes of the wavefront, without their camera rays; the next random numbers are the same."""
+        mi, dr = mitsuba_modules()
+        part = copy.copy(self)
+        part.sequence = sequence = self.sequence.subset(lanes)
+        part.next_1d, part.next_2d, part.ray = sequence.next_1d, sequence.next_2d, None
+        if self.pose.motion is not None:
+            part.pose = replace(self.pose, time=dr.gather(mi.Float, self.pose.time, lanes))
+            dr.eval(part.pose.time)
+        return part
 
     def flash_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
         """Light of the flash at first hits, as the mean over evenly spread points with a shadow ray to each.

@@ -23,8 +23,8 @@ LANES: Final = 1 << 20
 `demo` takes 130 MB more, and a further one 4.7 instead of 4.9 CPU seconds (medians of eight)."""
 
 Integrand = Callable[[FrameTables, Samples], Iterable[list[Any]]]
-"""Values of a wavefront, in batches: those of each are evaluated in one kernel, and summed before those of the
-next are asked for."""
+"""Values of a wavefront, in batches: those of each are evaluated in one kernel, and summed before those of
+the next are asked for."""
 
 
 def sum_samples(
