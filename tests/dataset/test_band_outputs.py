@@ -229,6 +229,12 @@ def test_white_reference_of_a_recipe():
     assert "white_reference" not in load_recipe("barth2018").identity()["recipe"]
 
 
+def test_filter_that_blocks_a_band_is_an_error():
+    with pytest.raises(InputError, match="has a band that detects no light") as caught:
+        load_recipe("barth2018", {**MULTISPECTRAL, "camera.filter": "bandpass_850nm"})
+    assert caught.value.key == "camera.filter"
+
+
 @pytest.mark.parametrize(
     ("key", "value", "problem"),
     [("reflectance", 0, "greater than or equal to 0.01"), ("facing", "sun", "'camera' or 'up'")],

@@ -77,7 +77,7 @@ def _centre_and_width(curve: Spectrum) -> tuple[float, float]:
     nm, values = curve.wavelength_nm, curve.values
     total, peak = float(curve.integral()), float(values.max())
     if not total > 0.0:
-        raise ValueError("a band detects no light")
+        raise ValueError("has a band that detects no light")
     # Wavelength is linear too, so the integral of the product is exact.
     centre = float(curve.integral(Spectrum(nm, nm))) / total
     above = np.flatnonzero(values >= 0.5 * peak)

@@ -64,6 +64,7 @@ def render_scene(
     target_error: float | None = None,
     others: Mapping[str, Camera] | None = None,
     depth_camera: DepthCamera | None = None,
+    white_reference: WhiteReference | None = None,
 ) -> Frame:
     """Render one frame of a scene; for several frames of the same scene keep a `Renderer`.
 
@@ -78,13 +79,21 @@ def render_scene(
         others: further cameras of the same scene: "flow", the target of the output `flow` (without it there
             is no flow), and "stereo", the partner of `stereo` and `colour_stereo`.
         depth_camera: of `depth_sensor` and the other `DEPTH_CAMERA_OUTPUTS`, at its pose.
+        white_reference: of `reflectance`; None for a panel of 0.99 half a metre in front of the camera.
 
     Raises:
         InputError: unknown output or quality, target out of range, missing partner or depth camera.
         SetupError: no JIT variant of Mitsuba runs on this machine.
     """
     return Renderer(scene).render(
-        camera, outputs, quality, seed, target_error, others, depth_camera=depth_camera
+        camera,
+        outputs,
+        quality,
+        seed,
+        target_error,
+        others,
+        depth_camera=depth_camera,
+        white_reference=white_reference,
     )
 
 

@@ -225,6 +225,7 @@ def _load_sensor(
 ) -> Sensor:
     """Load the sensor with its settings, at the size of the image, behind its filter."""
     from pepperscene.camera import load_filter, load_sensor
+    from pepperscene.camera.bands import describe_bands
 
     sensor = files.load(load_sensor, where, "camera.sensor", table.sensor)
     sensor = sensor.with_settings(bits=table.bits, gain=table.gain)
@@ -242,6 +243,8 @@ def _load_sensor(
             key, name = "camera.filter", table.filter
             sensor = sensor.with_filter(files.load(load_filter, where, key, name).transmittance)
             surface_wavelengths(sensor)
+            if sensor.pattern == "bands":
+                describe_bands(sensor.quantum_efficiency)
     except ValueError as error:
         behind = " behind it" if key == "camera.filter" else ""
         raise InputError(where, f"{sensor.name}{behind} {error}", key=key, value=name) from None
