@@ -100,6 +100,7 @@ def test_metadata_say_what_it_is():
         ({"camera.exposure_us": 20_000}, "camera.exposure_us", "must be at most 10000"),
         ({"camera.exposure_us": "auto"}, "camera.exposure_us", "does not know the lines"),
         ({"camera.labels_per_row": False}, "camera.labels_per_row", "is a line scanner"),
+        ({"views.speed_mm_s": None}, "views.kind", "must move the camera"),
     ],
 )
 def test_recipes_use_it_as_a_line_scanner(changes, key, problem):
@@ -107,7 +108,9 @@ def test_recipes_use_it_as_a_line_scanner(changes, key, problem):
 
     camera = {"sensor": "generic_line_scanner_vnir", "lens": "generic_line_scanner_38deg", "flash": "none"}
     base = {**{f"camera.{name}": value for name, value in camera.items()}, "camera.exposure_us": 5000}
+    base["views.speed_mm_s"] = 100
+    changes = {key: value for key, value in {**base, **changes}.items() if value is not None}
     with pytest.raises(InputError) as caught:
-        load_recipe("greenhouse", {**base, **changes})
+        load_recipe("greenhouse", changes)
     assert caught.value.key == key
     assert problem in caught.value.problem

@@ -26,7 +26,7 @@ MULTISPECTRAL = {
 }  # fmt: skip
 SCANNER = {
     **MULTISPECTRAL, "camera.sensor": "generic_line_scanner_vnir",
-    "camera.lens": "generic_line_scanner_38deg",
+    "camera.lens": "generic_line_scanner_38deg", "views.speed_mm_s": 100,
 }  # fmt: skip
 OUTPUTS = ("bands", "radiance", "reflectance", "class", "distance", "position")
 CHANNELS = ["B01.475nm", "B02.560nm", "B03.668nm", "B04.717nm", "B05.842nm"]

@@ -14,6 +14,7 @@ from pepperscene.dataset.recipe.camera_tables import GENERIC_SENSOR, INTRINSICS,
 from pepperscene.dataset.recipe.exposure import AUTO
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import NONE, WhiteReferenceTable
+from pepperscene.dataset.recipe.views_tables import ArcViews, PathViews, PoseViews
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
 
     # Checks that need several parts.
     if sensor.line_scan:
-        _check_line_scan(table, where, sensor)
+        _check_line_scan(recipe, where, sensor)
     if table.focus_mm is not None and table.focus_mm <= 1e3 * lens.focal_length_m:
         problem = f"must be beyond the focal length of {lens.name}, {1e3 * lens.focal_length_m:g} mm"
         raise InputError(where, problem, key="camera.focus_mm", value=table.focus_mm)
@@ -123,9 +124,15 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
         raise InputError(where, error.problem, key=f"camera.{key}", value=getattr(table, key)) from None
 
 
-def _check_line_scan(table: CameraTable, where: str | Path, sensor: Sensor) -> None:
+def _check_line_scan(recipe: Recipe, where: str | Path, sensor: Sensor) -> None:
     """Raise `InputError` if a line scanner is not used as one."""
-    line_us = 1e6 * sensor.line_time_s
+    table, views, line_us = recipe.camera, recipe.views, 1e6 * sensor.line_time_s
+    is_moving = isinstance(views, PathViews | PoseViews) and views.motion
+    is_moving |= isinstance(views, ArcViews) and views.speed_mm_s is not None
+    if not is_moving:
+        kinds = "a path, timed poses, or an arc with speed_mm_s"
+        problem = f"must move the camera, as {sensor.name} is a line scanner: {kinds}"
+        raise InputError(where, problem, key="views.kind", value=views.kind)
     if table.exposure_us == AUTO:
         problem = f"must be a time: automatic exposure does not know the lines of {sensor.name}"
         raise InputError(where, problem, key="camera.exposure_us", value=AUTO)
