@@ -8,12 +8,16 @@ expected reflectance is the mean of the wall's over the wavelengths that a band 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from banded import gaussian_bands, small_camera, wall
 from bodies import EVEN_SKY, matt
 from prosail import run_prospect
 from scatterers import plain
+from scipy import stats
+from test_convergence import sphere_and_leaf
 
 from pepperscene.camera import Camera
 from pepperscene.cultivar import load_cultivar
@@ -91,3 +95,22 @@ def test_ndvi_of_a_leaf_is_that_of_prospect():
 
 def ndvi(red: float, infrared: float) -> float:
     return (infrared - red) / (infrared + red)
+
+
+def test_bands_have_the_light_of_mitsubas_path_tracer():
+    # Which carries random wavelengths to all bands. Edges, light through a leaf, gloss, sky, sun and flash.
+    bands = gaussian_bands(np.linspace(450.0, 700.0, 5), 30.0)
+    camera = small_camera(bands, columns=32, rows=24)
+    camera = replace(camera, sensor=replace(camera.sensor, binning=32))
+    renderer, runs = Renderer(sphere_and_leaf()), 12
+
+    def means(samples: int, **method: str) -> np.ndarray:
+        """`(runs, c)` means of images."""
+        quality = Quality(samples, samples, samples, 2, target=None, denoise=False, **method)
+        frames = [renderer.render(camera, ["electrons"], quality, seed) for seed in range(runs)]
+        return np.array([frame["electrons"].astype(float).mean(axis=(0, 1)) for frame in frames])
+
+    ours, reference = means(16), means(64, integrator="path")
+    p = stats.ttest_ind(ours, reference, axis=0, equal_var=False).pvalue
+    assert p.min() * 5 > 1e-3, (p, ours.mean(axis=0) / reference.mean(axis=0))
+    assert ours.mean(axis=0) == pytest.approx(reference.mean(axis=0), rel=0.01)

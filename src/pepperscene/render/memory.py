@@ -39,7 +39,7 @@ device's copy with 4, and a third of that for the filtered slopes, twice; 131 MB
 sum of these arrays for `kaite`, not a measured peak."""
 
 _WAVEFRONT: Final = 1 << 20
-"""Samples that are traced at a time, at most: `LANES` of `pepperscene.render.transport.wavefront`."""
+"""Samples that are traced at a time, at most: `_LANES` of `pepperscene.render.transport.wavefront`."""
 _BAND_WAVEFRONT, _BAND_VALUES = 1 << 18, 1 << 24
 """The same of a sensor with bands, and its samples times bands; see `render.transport.band_light`."""
 _SHARED_VALUES: Final = 80

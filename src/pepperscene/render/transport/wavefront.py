@@ -18,7 +18,7 @@ from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples
 from pepperscene.render.variant import mitsuba_modules
 
-LANES: Final = 1 << 20
+_LANES: Final = 1 << 20
 """Wavefront of a pass. Chosen: 25 results per sample take 105 MB. With twice as many the first frame of
 `demo` takes 130 MB more, and a further one 4.7 instead of 4.9 CPU seconds (medians of eight)."""
 
@@ -34,14 +34,14 @@ def sum_samples(
     count: int,
     seed: int,
     integrand: Integrand,
-    lanes: int = LANES,
+    lanes: int | None = None,
 ) -> list[Images]:
     """Sum an integrand's k values over samples `first` to `first + count - 1` of n pixels: k times `(n,)`.
 
     `pixels` are row-major indices, or None for all; `lanes` is the largest wavefront.
     """
     total = tables.rays.width * tables.rays.height if pixels is None else len(pixels)
-    block = max(lanes // count, 1)
+    block = max((lanes or _LANES) // count, 1)
     if total <= block:
         return _sum_pass(tables, pixels, (0, total), first, count, seed, integrand)
     # Copied pass by pass, so that the device holds the sums of one pass and not those of the whole image.
