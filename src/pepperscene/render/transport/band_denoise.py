@@ -20,6 +20,10 @@ Image = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 BROAD: Final = 3
+_MOST_FILTERED: Final = 12
+"""Bands that are filtered themselves, three at a time. Chosen: four passes of a second each. The factors below
+are those of all surfaces of a neighbourhood, so what distinguishes one leaf from the next in two bands of the
+same mean is lost: the photochemical index, of 531 and 570 nm, of a leaf is then that of its neighbours."""
 _TILE: Final = 32  # pixels; chosen: three are the neighbourhood whose mean is restored in other images
 _RIDGE: Final = 0.02
 """Of the mean square of the broad channels. Chosen: where these are proportional, the factors of the whole
@@ -35,8 +39,11 @@ def denoise_bands(traced: Image, denoise: Callable[[Image], Image]) -> Image:
         denoise: filters `(h, w, 3)` such light.
     """
     c = traced.shape[-1]
-    if c <= BROAD:
-        return denoise(np.ascontiguousarray(traced[..., np.arange(BROAD) % c]))[..., :c]
+    if c <= _MOST_FILTERED:
+        # Padded with the first bands.
+        bands = np.arange(-(-c // BROAD) * BROAD) % c
+        parts = [denoise(np.ascontiguousarray(traced[..., part])) for part in bands.reshape(-1, BROAD)]
+        return np.concatenate(parts, axis=-1)[..., :c]
     # Bands of the same weight, however many electrons they have.
     levels = traced.mean(axis=(0, 1), dtype=np.float64)
     scale = np.divide(1.0, levels, out=np.zeros(c), where=levels > 0.0).astype(np.float32)
