@@ -18,13 +18,13 @@ VOID: Final = IGNORE_CLASS
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 
-ARRAYS: Final = (
-    "colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m", "reflectance", "radiance",
-    "bands",
-)  # fmt: skip
+ARRAYS: Final = ("colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m")
 """Fields of `LabelledImage` that are arrays of the image's size."""
 
-FIELDS: Final = (*ARRAYS, "metadata")
+BAND_ARRAYS: Final = ("reflectance", "radiance", "bands")
+"""The same of sensors with bands."""
+
+FIELDS: Final = (*ARRAYS, *BAND_ARRAYS, "metadata")
 """Fields of `LabelledImage` that a reader reads or skips."""
 
 
@@ -65,7 +65,7 @@ class LabelledImage:
             raise ValueError(f"{self.name}: its images differ in size, {sorted(sizes)}")
 
     def _sizes(self) -> set[tuple[int, int]]:
-        arrays = [getattr(self, name) for name in ARRAYS]
+        arrays = [getattr(self, name) for name in (*ARRAYS, *BAND_ARRAYS)]
         return {(array.shape[0], array.shape[1]) for array in arrays if array is not None}
 
     @property
