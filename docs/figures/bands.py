@@ -91,17 +91,19 @@ def spectra(data: ps.Dataset) -> Image.Image:
     reflectance, instance = data.image(LINE_FRAME, "reflectance"), data.image(LINE_FRAME, "instance")
     surfaces = ps.organ_surfaces(ps.load_cultivar("kaite_dusty"), np.arange(400.0, 1001.0, 5.0))
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained", sharey=True)
-    for axis, kind, surface in zip(axes, ("lamina", "fruit"), ("leaf", "fruit"), strict=True):
+    shown = (("lamina", "leaf", ("pale leaf", "dark leaf")), ("fruit", "fruit", ("unripe", "ripe")))
+    for axis, (kind, surface, texts) in zip(axes, shown, strict=True):
         pixels = reflectance[instance == largest(data, LINE_FRAME, kind)]
         low, middle, high = np.percentile(pixels, (25, 50, 75), axis=0)
-        tables = surfaces[surface].reflectance[:, 0]
-        healthy = tables[-len(tables) // 2 :] if surfaces[surface].first_state < 0 else tables
-        axis.fill_between(
-            surfaces[surface].wavelength_nm, *np.percentile(healthy, (0, 100), axis=0), color="#cfe3c4", lw=0
-        )
         axis.fill_between(nm, low, high, color="#9ab8d8", alpha=0.7, lw=0)
-        axis.plot(nm, middle, color="#1f4e79", lw=1)
-        axis.set(title=f"{kind}, {len(pixels)} pixels", xlabel="wavelength (nm)", xlim=(400, 1000))
+        axis.plot(nm, middle, color="#1f4e79", lw=1, label=f"in the image, {len(pixels)} pixels")
+        tables, first = surfaces[surface].reflectance[:, 0], surfaces[surface].first_state
+        states = np.linspace(first, 1.0, len(tables))
+        for state, text, colour in zip((0.0, 1.0), texts, ("#7fb24d", "#c77d2e"), strict=True):
+            spectrum = tables[int(np.argmin(np.abs(states - state)))]
+            axis.plot(surfaces[surface].wavelength_nm, spectrum, "--", color=colour, lw=1, label=text)
+        axis.set(title=kind, xlabel="wavelength (nm)", xlim=(400, 1000))
+        axis.legend(frameon=False, fontsize=8)
     axes[0].set_ylabel("reflectance")
     axes[0].set_ylim(0, 1)
     buffer = io.BytesIO()
