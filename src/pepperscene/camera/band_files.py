@@ -77,9 +77,8 @@ def read_bands(path: Path, tables: BandTables) -> tuple[Spectrum, tuple[str, ...
         return _read_curves(path, tables)
     if isinstance(tables, RegularBandsTable):
         centres = np.linspace(tables.first_nm, tables.last_nm, tables.count).tolist()
-        rest = ([tables.width_nm], [tables.peak], [tables.shape])
-        widths, peaks, shapes = (values * tables.count for values in rest)
-        return band_curves(centres, widths, peaks, shapes), ()
+        widths, peaks = [tables.width_nm] * tables.count, [tables.peak] * tables.count
+        return band_curves(centres, widths, peaks, [tables.shape] * tables.count), ()
     names = tuple(band.name or "" for band in tables)
     for number, name in enumerate(names):
         if name and name in names[:number]:
