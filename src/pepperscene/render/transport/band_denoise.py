@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 
 BROAD: Final = 3
 _MOST_FILTERED: Final = 12
-"""Bands that are filtered themselves, three at a time. Chosen: four passes of a second each. The factors below
-are those of all surfaces of a neighbourhood: what distinguishes a leaf from the next in two bands of the same
-mean is lost, such as the photochemical index, of 531 and 570 nm."""
+"""Bands that are filtered themselves, three at a time. Chosen: four passes of a second each. The factors
+below are those of all surfaces of a neighbourhood: what distinguishes a leaf from the next in two bands of
+the same mean is lost, such as the photochemical index, of 531 and 570 nm."""
 _TILE: Final = 32  # pixels; chosen: three are the neighbourhood whose mean is restored in other images
 _RIDGE: Final = 0.02
 """Of the mean square of the broad channels. Chosen: where these are proportional, the factors of the whole
