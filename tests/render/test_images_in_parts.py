@@ -25,7 +25,11 @@ def test_images_do_not_depend_on_the_size_of_their_parts(monkeypatch):
         return Renderer(scene).render(camera(columns=80, rows=60), OUTPUTS, "standard", 5)
 
     whole = frame()
-    parts = {"aov.labels": "_UV_PIXELS", "transport.adaptive": "_ROWS_PIXELS", "transport.trace": "_LANES"}
+    parts = {
+        "aov.labels": "_UV_PIXELS",
+        "transport.adaptive": "_ROWS_PIXELS",
+        "transport.wavefront": "_LANES",
+    }
     for module, constant in parts.items():
         monkeypatch.setattr(importlib.import_module(f"pepperscene.render.{module}"), constant, 7 * 80 + 3)
     divided = frame()

@@ -12,13 +12,14 @@ from processes import run_python
 
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.render import QUALITIES, Renderer, find_quality, kernel_scene, render_scene, renderer
 from pepperscene.render.aov import labels
 from pepperscene.render.reference.path_tracer import path_traced, samples_taken
 from pepperscene.scene import assemble_scene
 
-ALL = tuple(name for name in OUTPUTS if name != "harvest")  # which needs the plants' skeleton
+# Harvest needs the plants' skeleton, and bands another sensor.
+ALL = tuple(name for name in OUTPUTS if name != "harvest" and name not in BAND_OUTPUTS)
 LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced)
 IMAGERS = ("imager_left", "imager_right")
 

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.check.findings import camera_integer, camera_pose
-from pepperscene.frame import TRAIT_OUTPUTS
+from pepperscene.dataset.check.findings import camera_centres, camera_integer
+from pepperscene.frame import BAND_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.truth import saturated_fraction
 
 _BLACK: Final = 2
@@ -95,8 +95,8 @@ def _check_distances(images: Mapping[str, Any], sky: Any, metadata: Mapping[str,
         if sky is not None:
             wrong = sky == np.isfinite(position).all(-1)
             yield "position", "have a position where no surface is hit, or none where one is", wrong
-        if distance is not None and (pose := camera_pose(metadata)) is not None:
-            difference = np.abs(np.sqrt(np.square(position - pose[:3, 3]).sum(-1)) - distance)
+        if distance is not None and (centres := camera_centres(metadata, len(distance))) is not None:
+            difference = np.abs(np.sqrt(np.square(position - centres).sum(-1)) - distance)
             wrong = difference > _TOLERANCE * (1 + distance)
             yield "position", "have a position at another distance from the camera", wrong
 
@@ -163,6 +163,12 @@ def _check_light(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any
         yield "electrons", "have electrons that are not finite", ~np.isfinite(electrons).all(-1)
         yield "electrons", "have fewer than 0 electrons", (electrons < 0).any(-1)
         yield "electrons", "have no light at all", np.full(electrons.shape[:2], not electrons.any())
+    for output in sorted(BAND_OUTPUTS.intersection(images)):
+        values = images[output]
+        yield output, "have a value that is not finite", ~np.isfinite(values).all(-1)
+        yield output, "have no light at all", np.full(values.shape[:2], not values.any())
+    if "radiance" in images:
+        yield "radiance", "have a radiance below 0", (images["radiance"] < 0).any(-1)
     if "albedo" in images:
         yield "albedo", "have an albedo that is not finite", ~np.isfinite(images["albedo"]).all(-1)
     if "raw" in images:

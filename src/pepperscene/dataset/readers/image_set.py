@@ -24,7 +24,10 @@ ARRAYS: Final = (
 )  # fmt: skip
 """Fields of `LabelledImage` that are arrays of the image's size."""
 
-FIELDS: Final = (*ARRAYS, "metadata")
+BAND_ARRAYS: Final = ("reflectance", "radiance", "bands")
+"""The same of sensors with bands."""
+
+FIELDS: Final = (*ARRAYS, *BAND_ARRAYS, "metadata")
 """Fields of `LabelledImage` that a reader reads or skips."""
 
 
@@ -46,6 +49,9 @@ class LabelledImage:
         water_cm: `(h, w)` float32, equivalent thickness of the water in blades and petals, or g per cm2.
         ripeness: `(h, w)` float32, 0 unripe to 1 ripe, of fruit.
         leaf_age: `(h, w)` float32, 0 healthy to 1 dried up, of leaf blades.
+        reflectance: `(h, w, c)` float32, of each band relative to a white reference.
+        radiance: `(h, w, c)` float32, W m-2 sr-1 nm-1 in each band.
+        bands: `(h, w, c)` float32, measured electrons of each band, which the metadata describe.
         metadata: further metadata: the JSON of a rendered frame, the files of an image in a folder.
     """
 
@@ -61,6 +67,9 @@ class LabelledImage:
     water_cm: NDArray[np.float32] | None = None
     ripeness: NDArray[np.float32] | None = None
     leaf_age: NDArray[np.float32] | None = None
+    reflectance: NDArray[np.float32] | None = None
+    radiance: NDArray[np.float32] | None = None
+    bands: NDArray[np.float32] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,7 +78,7 @@ class LabelledImage:
             raise ValueError(f"{self.name}: its images differ in size, {sorted(sizes)}")
 
     def _sizes(self) -> set[tuple[int, int]]:
-        arrays = [getattr(self, name) for name in ARRAYS]
+        arrays = [getattr(self, name) for name in (*ARRAYS, *BAND_ARRAYS)]
         return {(array.shape[0], array.shape[1]) for array in arrays if array is not None}
 
     @property

@@ -33,6 +33,9 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
     "water_cm": (("water", None),),
     "ripeness": (("ripeness", None),),
     "leaf_age": (("leaf_age", None),),
+    "reflectance": (("reflectance", None),),
+    "radiance": (("radiance", None),),
+    "bands": (("bands", None),),
 }
 """Outputs that a field can be read from, the best first, and how to decode them."""
 
