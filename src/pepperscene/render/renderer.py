@@ -17,10 +17,9 @@ from pepperscene.camera import (
     ChosenExposure,
     DepthCamera,
     ExposureControl,
-    add_stray_light,
     choose_exposure,
     develop,
-    expected_electrons,
+    image_electrons,
     raw_frame,
     with_exposure,
 )
@@ -34,6 +33,7 @@ from pepperscene.frame import (
     check_outputs,
 )
 from pepperscene.render.aov import labels
+from pepperscene.render.aov.label_strips import label_images
 from pepperscene.render.kernel.camera import label_rays
 from pepperscene.render.kernel_scene import KernelScene
 from pepperscene.render.metering import metered_light
@@ -143,6 +143,7 @@ class Renderer:
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
             signal, described["sampling"] = self._kernel.trace(camera, quality, sampling, scene)
             images |= _photographs(requested, signal, camera, noise)
+            del signal  # large
         if "colour_stereo" in requested:
             # The third branch of the frame's seed gives the partner its own noise and samples.
             noise, sampling = np.random.SeedSequence(seed).spawn(3)[2].spawn(2)
@@ -170,23 +171,20 @@ class Renderer:
                 # Before the first hits, which then use its kernel scene.
                 kernel_scene = self._kernel.any_light_scene(camera, scene)
                 images["albedo"] = albedo_image(kernel_scene, scene, camera, rays)
-            hits = labels.first_hits(self._kernel.truth_scene(), rays)
-            instance = labels.instance_ids(self.scene.mesh, hits)
-            images |= labels.label_outputs(self.scene.mesh, hits, instance, camera, requested)
-            instances = labels.visible_instances(self.scene.mesh, instance)
+            seen = label_images(
+                *(self.scene.mesh, self._kernel.truth_scene(), self._kernel.coordinates),
+                *(rays, camera, requested, others),
+            )
+            images |= seen.images
+            instances = labels.visible_instances(self.scene.mesh, seen.instance)
             if "coverage" in requested:
                 images["coverage"] = self._coverage.image(self._kernel.truth_scene(), rays)
-            for name in [name for name in ("flow", "stereo") if name in requested]:
-                from pepperscene.render.aov.flow import optical_flow
-
-                mitsuba_scene = self._kernel.truth_scene(), self._kernel.coordinates
-                images[name] = optical_flow(*mitsuba_scene, hits, camera, others.get(name))
             if "harvest" in requested:
-                images["harvest"] = self._harvest.truth(camera, rays, hits, instance)
+                images["harvest"] = self._harvest.truth(camera, rays, seen.distance, seen.instance)
             if "amodal" in requested:
                 visible = labels.visible_organs(instances)
-                masks = self._organs.amodal_masks(visible, camera, rays, instance)
-                images["amodal"] = amodal_truth(masks, instance, self.scene.mesh.instances)
+                masks = self._organs.amodal_masks(visible, camera, rays, seen.instance)
+                images["amodal"] = amodal_truth(masks, seen.instance, self.scene.mesh.instances)
         metadata = {"camera": camera.metadata(), "seed": seed, "variant": variant_name()}
         metadata |= {"versions": _library_versions(), **described, "instances": instances}
         return Frame({name: images[name] for name in requested}, metadata)
@@ -279,11 +277,11 @@ def _check_others(requested: tuple[str, ...], others: Mapping[str, Camera]) -> M
 def _photographs(
     requested: tuple[str, ...], signal: NDArray[np.float32], camera: Camera, noise: np.random.SeedSequence
 ) -> dict[str, NDArray[Any]]:
-    """The camera's outputs from the light that reaches its pixels."""
-    electrons = expected_electrons(signal, camera)
-    if camera.developing.stray_light:
-        electrons = add_stray_light(electrons, camera)
-    images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
+    """The camera's outputs from the light that reaches its pixels; that of a large image is overwritten."""
+    electrons = image_electrons(signal, camera)
+    images: dict[str, NDArray[Any]] = {}
+    if "electrons" in requested:
+        images["electrons"] = electrons.astype(np.float32, copy=False)
     # Both start from the same generator state: the image is developed from exactly this raw frame.
     if "raw" in requested:
         images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))

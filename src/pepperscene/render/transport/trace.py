@@ -75,17 +75,28 @@ def trace(
     seed: int,
 ) -> TracedLight:
     """Trace the light that reaches each pixel of a camera in a scene with materials over its response."""
-    tables = frame_tables(scene, rays, response, flash, sky)
-    accumulator = SampleAccumulator(rays.height, rays.width, tables.white)
+    return trace_rows(frame_tables(scene, rays, response, flash, sky), sampling, seed)
+
+
+def trace_rows(tables: FrameTables, sampling: Sampling, seed: int, rows: slice = slice(None)) -> TracedLight:
+    """Trace the light that reaches the pixels of some rows, with the samples that `trace` takes there.
+
+    `Sampling.required` sees these rows alone.
+    """
+    width = tables.rays.width
+    top, bottom, _ = rows.indices(tables.rays.height)
+    within = (top * width, bottom * width)
+    accumulator = SampleAccumulator(bottom - top, width, tables.white)
     first = 0
     # One traversal for all light, then the samples without indirect light.
     if tables.has_lights:
         first = min(sampling.indirect, sampling.samples)
         all_light = functools.partial(_all_light, bounces=sampling.bounces, most=sampling.most_bounces)
-        accumulator.add_all(sum_samples(tables, None, 0, first, seed, all_light), first)
+        accumulator.add_all(sum_samples(tables, None, 0, first, seed, all_light, within), first)
     if sampling.samples > first:
         remaining = sampling.samples - first
-        accumulator.add_direct(sum_samples(tables, None, first, remaining, seed, _direct_light), remaining)
+        sums = sum_samples(tables, None, first, remaining, seed, _direct_light, within)
+        accumulator.add_direct(sums, remaining)
 
     if not tables.has_lights or sampling.required is None:
         return accumulator.light()
@@ -94,7 +105,7 @@ def trace(
     for _ in range(_REFINEMENT_ROUNDS):
         refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
         for begin, end, pixels in refinements:
-            sums = sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
+            sums = sum_samples(tables, pixels + within[0], begin, end - begin, seed, _direct_light)
             accumulator.add_direct(sums, end - begin, pixels)
         if not refinements:
             break
@@ -116,23 +127,27 @@ def sum_samples(
     count: int,
     seed: int,
     integrand: Callable[[FrameTables, Samples], list[Any]],
+    within: tuple[int, int] | None = None,
 ) -> list[Images]:
     """Sum an integrand's k values over samples `first` to `first + count - 1` of n pixels: k times `(n,)`.
 
-    `pixels` are row-major indices, or None for all; `integrand` computes the values of a wavefront.
+    `pixels` are row-major indices, or None for all or those `within` limits; `integrand` computes the values
+    of a wavefront.
     """
-    total = tables.rays.width * tables.rays.height if pixels is None else len(pixels)
+    start, end = within or (0, tables.rays.width * tables.rays.height)
+    if pixels is not None:
+        start, end = 0, len(pixels)
     block = max(_LANES // count, 1)
-    if total <= block:
-        return _sum_pass(tables, pixels, (0, total), first, count, seed, integrand)
+    if end - start <= block:
+        return _sum_pass(tables, pixels, (start, end), first, count, seed, integrand)
     # Copied pass by pass, so that the device holds the sums of one pass and not those of the whole image.
     sums: list[Images] = []
-    for start in range(0, total, block):
-        end = min(start + block, total)
-        parts = _sum_pass(tables, pixels, (start, end), first, count, seed, integrand)
-        sums = sums or [np.empty(total, np.float32) for _ in parts]
+    for low in range(start, end, block):
+        high = min(low + block, end)
+        parts = _sum_pass(tables, pixels, (low, high), first, count, seed, integrand)
+        sums = sums or [np.empty(end - start, np.float32) for _ in parts]
         for whole, part in zip(sums, parts, strict=True):
-            whole[start:end] = part
+            whole[low - start : high - start] = part
     return sums
 
 
