@@ -171,10 +171,8 @@ class Renderer:
                 # Before the first hits, which then use its kernel scene.
                 kernel_scene = self._kernel.any_light_scene(camera, scene)
                 images["albedo"] = albedo_image(kernel_scene, scene, camera, rays)
-            seen = label_images(
-                *(self.scene.mesh, self._kernel.truth_scene(), self._kernel.coordinates),
-                *(rays, camera, requested, others),
-            )
+            kernel_scene, coordinates = self._kernel.truth_scene(), self._kernel.coordinates
+            seen = label_images(self.scene.mesh, kernel_scene, coordinates, rays, camera, requested, others)
             images |= seen.images
             instances = labels.visible_instances(self.scene.mesh, seen.instance)
             if "coverage" in requested:

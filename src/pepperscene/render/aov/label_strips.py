@@ -57,10 +57,10 @@ def label_images(
         hits = labels.first_hits(scene, rays, rows)
         instance = labels.instance_ids(mesh, hits)
         part = labels.label_outputs(mesh, hits, instance, camera, (*requested, "instance", "distance"))
-        for name in [name for name in ("flow", "stereo") if name in requested]:
+        for target in [name for name in ("flow", "stereo") if name in requested]:
             from pepperscene.render.aov.flow import optical_flow
 
-            part[name] = optical_flow(scene, coordinates, hits, camera, others.get(name))
+            part[target] = optical_flow(scene, coordinates, hits, camera, others.get(target))
         if rows.stop - rows.start == camera.height:
             joined = part
             break

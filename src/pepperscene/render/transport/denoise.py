@@ -206,23 +206,22 @@ class _Coverage:
 def _apply_filter(image: Image, albedo: Image, normal: Image, setting: FilterSetting) -> Image:
     """Apply the "RT" filter of Open Image Denoise, which takes three channels; a single one is repeated."""
     h, w, c = image.shape
-    images = (_pad_image(part) for part in (image, albedo, normal))
+    images = tuple(_pad_image(part) for part in (image, albedo, normal))
     if setting.exposure is None:
         result = open_image_denoise().denoise(*images, hdr=True, clean_aux=setting.clean_guides)
     else:
-        result = _exposed_filter(*images, setting.clean_guides, setting.exposure)
+        result = _exposed_filter(images, setting.clean_guides, setting.exposure)
     inner = np.asarray(result, np.float32)[_PADDING : _PADDING + h, _PADDING : _PADDING + w]
     return np.maximum(inner if c == 3 else inner.mean(axis=-1, keepdims=True), np.float32(0.0))
 
 
-def _exposed_filter(image: Image, albedo: Image, normal: Image, clean_guides: bool, exposure: float) -> Image:
-    """Apply the filter with a given exposure, which the simple interface of the library does not take."""
-    oidn, result = open_image_denoise(), np.empty_like(image)
+def _exposed_filter(images: tuple[Image, ...], clean_guides: bool, exposure: float) -> Image:
+    """Apply the filter to light, albedo and normals with a given exposure, which `denoise` does not take."""
+    oidn, result = open_image_denoise(), np.empty_like(images[0])
     device = _filter_device()
     image_filter = oidn.Filter(device, "RT")
-    images = {"color": image, "albedo": albedo, "normal": normal, "output": result}
-    for name, part in images.items():
-        image_filter.set_image(name, part, oidn.OIDN_FORMAT_FLOAT3)
+    for name, image in zip(("color", "albedo", "normal", "output"), (*images, result), strict=True):
+        image_filter.set_image(name, image, oidn.OIDN_FORMAT_FLOAT3)
     image_filter.set_bool("hdr", True)
     image_filter.set_bool("cleanAux", clean_guides)
     image_filter.set_float("inputScale", exposure)

@@ -1,7 +1,7 @@
 """The light of an image, traced and denoised in strips of rows, so that a large image takes little memory.
 
 A sample of a pixel is the same in a strip as in the whole image. What differs: samples stop where the error
-of a strip is below the noise of that strip; and the denoiser sees a tile of a strip with `_SURROUNDINGS`
+of a strip is below the noise of that strip; and the denoiser sees a tile of a strip with `SURROUNDINGS`
 pixels around it, in all directions, for which the light of the neighbouring strips waits. What the denoiser
 takes from a whole image, its mean light and the kind of the filter, comes from a few of its rows, traced
 beforehand: so it is the same in all tiles. A small image is a single strip, with nothing around it.
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -37,9 +37,11 @@ Image = NDArray[np.float32]
 FinishedRows = Iterable[tuple[slice, Image]]
 """Rows of an image and all their light, `(n, w, c)`."""
 
-_SURROUNDINGS: Final = 64
+SURROUNDINGS: Final = 48
 """Pixels around a tile that the denoiser sees; see the measurements in `tests/render/test_strips.py`."""
-_TILE_PIXELS: Final = 1 << 19
+_ALIGNMENT: Final = 32
+"""Pixels that the filter joins to one at most: its result depends on which of them are joined."""
+TILE_PIXELS: Final = 1 << 19
 """Pixels that the denoiser filters at a time, at most, with the surroundings. Chosen: its memory is then that
 of an 800x600 image."""
 _FIRST_ROWS: Final = 32
@@ -155,11 +157,11 @@ class StripDenoiser:
         self._waiting.append((rows, light.flash + light.sky_and_sun))
         while self._waiting:
             strip, direct = self._waiting[0]
-            if rows.stop < min(strip.stop + _SURROUNDINGS, self._height):
+            if rows.stop < min(strip.stop + SURROUNDINGS, self._height):
                 break
             self._waiting.popleft()
             yield strip, direct + self._indirect(strip)
-            needed = strip.stop - _SURROUNDINGS
+            needed = strip.stop - SURROUNDINGS - _ALIGNMENT
             while self._known and self._known[0][0].stop <= needed:
                 self._known.popleft()
 
@@ -168,8 +170,8 @@ class StripDenoiser:
         around = _widened(rows, self._height)
         tall, count = around.stop - around.start, 1
         # Tiles as wide as the number of pixels allows, but at least as wide as their surroundings.
-        while (-(-self._width // count) + 2 * _SURROUNDINGS) * tall > _TILE_PIXELS and (
-            self._width // count > 4 * _SURROUNDINGS
+        while (-(-self._width // count) + 2 * SURROUNDINGS) * tall > TILE_PIXELS and (
+            self._width // count > 4 * SURROUNDINGS
         ):
             count += 1
         step = -(-self._width // count)
@@ -204,12 +206,15 @@ class StripDenoiser:
 
 
 def _widened(part: slice, length: int) -> slice:
-    """A part of a line with its surroundings."""
-    return slice(max(part.start - _SURROUNDINGS, 0), min(part.stop + _SURROUNDINGS, length))
+    """A part of a line with its surroundings, from a multiple of `_ALIGNMENT` on."""
+    start = max(part.start - SURROUNDINGS, 0) // _ALIGNMENT * _ALIGNMENT
+    return slice(start, min(part.stop + SURROUNDINGS, length))
 
 
 def _stacked(lights: Sequence[TracedLight]) -> TracedLight:
     """The light of several rows below each other, with the variance of the first."""
     names = ("flash", "sky_and_sun", "indirect", "albedo", "normal", "coverage")
-    images = {name: np.concatenate([getattr(light, name) for light in lights]) for name in names}
-    return replace(lights[0], **images)
+    flash, sky_and_sun, indirect, albedo, normal, coverage = (
+        np.concatenate([getattr(light, name) for light in lights]) for name in names
+    )
+    return TracedLight(flash, sky_and_sun, indirect, albedo, normal, coverage, lights[0].variance)
