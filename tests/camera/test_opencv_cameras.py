@@ -10,9 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pepperscene.camera import Camera, Distortion, FisheyeDistortion, load_sensor, look_at
+from pepperscene.camera import (
+    Camera,
+    Distortion,
+    FisheyeDistortion,
+    load_sensor,
+    look_at,
+    relative_illumination,
+)
 from pepperscene.camera.calibration import CameraCalibration
-from pepperscene.camera.camera import relative_illumination
 from pepperscene.camera.distortion import MODELS, make_distortion
 from pepperscene.errors import InputError
 

@@ -15,6 +15,7 @@ from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS
 from pepperscene.dataset import read_image, write_image
+from pepperscene.dataset.store import images as encoding
 from pepperscene.dataset.store.images import encode_image, png_bytes
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
@@ -208,3 +209,11 @@ def test_equal_rows_are_compressed():
 def test_rejects_arrays_that_are_no_png(shape, dtype, palette):
     with pytest.raises(ValueError, match="does not fit this PNG type"):
         png_bytes(np.zeros(shape, dtype), palette)
+
+
+@pytest.mark.parametrize("part", [1, 1000])
+def test_png_does_not_depend_on_the_size_of_its_parts(part, monkeypatch):
+    images = [example("colour"), example("instance"), example("class")]
+    expected = [png_bytes(image) for image in images]
+    monkeypatch.setattr(encoding, "_PNG_PART", part)
+    assert [png_bytes(image) for image in images] == expected

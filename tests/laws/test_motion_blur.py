@@ -11,8 +11,9 @@ from bodies import EVEN_SKY, axis_camera, card, even_lamp, sheet
 from pepperscene.camera import AngularProfile, Camera, Flash, Motion
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
-from pepperscene.render import QUALITIES, Quality, Renderer, kernel_scene
+from pepperscene.render import QUALITIES, Quality, Renderer
 from pepperscene.render.reference.exposure import INSTANTS
+from pepperscene.render.transport import strips
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
@@ -240,12 +241,12 @@ def test_a_motion_of_zero_changes_nothing():
 def test_parts_of_an_exposure_have_independent_samples(monkeypatch):
     seeds = []
 
-    def recorded(*arguments):
-        seeds.append(arguments[-1])
-        return trace(*arguments)
+    def recorded(light, sampling, rows):
+        seeds.append(light.seed)
+        return trace_rows(light, sampling, rows)
 
-    trace = kernel_scene.trace
-    monkeypatch.setattr(kernel_scene, "trace", recorded)
+    trace_rows = strips.trace_rows
+    monkeypatch.setattr(strips, "trace_rows", recorded)
     view = camera((1.0, 0.0, 0.0), flash=lamp(5e-5, 200_000.0))
     electrons(white_edge(), view, replace(OURS, samples=4, soft=4), seed=1)
     assert len(seeds) == len(set(seeds)) == 2

@@ -164,5 +164,5 @@ def test_denoised_bands_keep_their_light(shape):
     rng = np.random.default_rng(5)
     smooth = np.cumsum(rng.random((shape[0], shape[1], 3)), axis=1)
     traced = (smooth @ rng.random((3, shape[2]))).astype(np.float32)
-    found = denoise_bands(traced, lambda broad: broad)
+    found = denoise_bands(traced, lambda broad, number: broad)
     assert found.mean(axis=(0, 1)) == pytest.approx(traced.mean(axis=(0, 1)), rel=0.005)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from greenhouse import camera, greenhouse
 
-from pepperscene.render import Renderer, kernel_scene
+from pepperscene.render import Renderer
+from pepperscene.render.transport import strips
 from pepperscene.render.transport.denoise import denoised
 
 
@@ -146,7 +147,7 @@ def test_keeps_the_mean_light_of_each_class(monkeypatch):
     # The same traced light with the filter and without, so that most noise cancels: over twelve frames the
     # mean of each class in view differs by less than 1 %, or less than four standard errors of that mean.
     lights = []
-    monkeypatch.setattr(kernel_scene, "denoised", lambda light: (lights.append(light), denoised(light))[1])
+    monkeypatch.setattr(strips, "denoised", lambda light: (lights.append(light), denoised(light))[1])
     plants, view = Renderer(greenhouse()), camera()
     classes = plants.render(view, ["class"])["class"]
     for seed in range(12):

@@ -8,7 +8,7 @@ from pepperscene.camera.auto_exposure import (
     with_exposure,
 )
 from pepperscene.camera.bands import Band
-from pepperscene.camera.camera import Camera, electrons_per_light, expected_electrons, relative_illumination
+from pepperscene.camera.camera import Camera
 from pepperscene.camera.depth_alignment import align_depth
 from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
 from pepperscene.camera.developing import (
@@ -28,6 +28,12 @@ from pepperscene.camera.developing import (
 from pepperscene.camera.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.flash import Flash, load_flash
 from pepperscene.camera.glare import add_stray_light
+from pepperscene.camera.image_light import (
+    electrons_per_light,
+    expected_electrons,
+    image_electrons,
+    relative_illumination,
+)
 from pepperscene.camera.lens import AngularProfile, Lens, load_lens
 from pepperscene.camera.motion import Motion
 from pepperscene.camera.paths import Trajectory, spline_trajectory, trajectory_from_poses
@@ -81,6 +87,7 @@ __all__ = [
     "encode_tone",
     "expected_electrons",
     "grid_poses",
+    "image_electrons",
     "load_filter",
     "load_flash",
     "load_lens",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Floats = NDArray[np.float32]
+
+_PART: Final = 1 << 21  # chosen: pixels that are spread at a time; each takes 0.1 KB meanwhile
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,18 @@ class AreaAverage:
     def spread(self, pixels: NDArray[np.floating], axis: int) -> Floats:
         """Mean light of each photosite, from that of the pixels along `axis`.
 
+        Large images are computed in parts across the axis.
+
         Within a pixel the light is linear, so that a gradient of grey stays grey after demosaicing. The light
         of each pixel is kept, and no photosite gets more or less than the pixels around it (monotonised
         central slopes; B. van Leer, "Towards the ultimate conservative difference scheme III", J. Comput.
         Phys. 23 (1977) 263).
         """
+        parts = np.array_split(pixels, pixels.size // _PART + 1, axis=1 - axis)
+        spread = [self._spread(part, axis) for part in parts]
+        return spread[0] if len(spread) == 1 else np.concatenate(spread, axis=1 - axis)
+
+    def _spread(self, pixels: NDArray[np.floating], axis: int) -> Floats:
         overlaps, moments = _overlaps(self).T.tocsr(), _moments(self).T.tocsr()
         covered = np.asarray(overlaps.sum(axis=1)).reshape(-1)
         # A photosite outside the image has no pixel, and takes that of its neighbour.
@@ -61,9 +70,21 @@ class AreaAverage:
         means = light / _column(covered.clip(1e-12), axis, pixels.ndim)
         return np.asarray(np.take(means, nearest, axis=axis), np.float32)
 
-    def average(self, sites: NDArray[np.floating], axis: int) -> Floats:
-        """Mean over each pixel's area of the photosites along `axis`."""
-        return np.asarray(_along(_overlaps(self), sites, axis) / float(self.factor), np.float32)
+    def average(self, sites: NDArray[np.floating], axis: int, pixels: slice = slice(None)) -> Floats:
+        """Mean over each pixel's area of the photosites along `axis`.
+
+        Of some pixels, from the photosites of `sites_of` alone.
+        """
+        overlaps = _overlaps(self)[pixels, self.sites_of(pixels)]
+        return np.asarray(_along(overlaps, sites, axis) / float(self.factor), np.float32)
+
+    def sites_of(self, pixels: slice) -> slice:
+        """The photosites that some pixels overlap, an even number of them from an even one on."""
+        first, end, _ = pixels.indices(self.pixels)
+        margin = (self.sites - self.pixels * self.factor) / 2
+        last = margin + end * self.factor
+        stop = -(-last.numerator // last.denominator)
+        return slice(int(margin + first * self.factor) & ~1, min(stop + 1 & ~1, self.sites))
 
 
 @lru_cache(maxsize=8)

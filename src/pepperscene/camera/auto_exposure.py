@@ -22,9 +22,10 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.camera import Camera, expected_electrons
+from pepperscene.camera.camera import Camera
 from pepperscene.camera.colorimetry import srgb_encode
 from pepperscene.camera.developing import camera_rgb, correct_colours
+from pepperscene.camera.image_light import expected_electrons
 from pepperscene.camera.sensor import Sensor
 from pepperscene.errors import InputError
 

@@ -15,10 +15,14 @@ from pepperscene.camera.lens import Lens
 from pepperscene.camera.line_scanner import crossing_times
 from pepperscene.camera.motion import Motion
 from pepperscene.camera.pixel_rays import (
+    border_slopes,
     centre_directions,
     check_field,
+    corner_slopes,
     intrinsics_matrix,
     pixel_slopes,
+    row_directions,
+    slope_limits,
 )
 from pepperscene.camera.readout import Developing
 from pepperscene.camera.sensor import Sensor
@@ -144,17 +148,36 @@ class Camera:
         """The same camera at another pose."""
         return dataclasses.replace(self, pose=np.asarray(pose, dtype=float))
 
-    def ray_slopes(self) -> NDArray[np.float64]:
+    def ray_slopes(self, rows: slice | None = None) -> NDArray[np.float64]:
         """`(h + 1, w + 1, 2)` undistorted slopes (x/z, y/z) of the rays through the pixel corners.
 
         Those of a line scanner are the same in all rows: `(2, w + 1, 2)`. Read-only and shared by all cameras
-        with this lens and sensor.
+        with this lens and sensor. Those of some rows of corners, `(n, w + 1, 2)`, take no more memory than
+        these if the image is large.
         """
-        return pixel_slopes(self.lens, self.sensor, 0.0)
+        if rows is None:
+            return pixel_slopes(self.lens, self.sensor, 0.0)
+        return corner_slopes(self.lens, self.sensor, rows)
 
-    def pixel_directions(self) -> NDArray[np.float64]:
-        """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only."""
-        return centre_directions(self.lens, self.sensor)
+    def border_slopes(self) -> tuple[NDArray[np.float64], ...]:
+        """The `ray_slopes` along the top and bottom, `(w + 1, 2)`, left and right border, `(h + 1, 2)`.
+
+        Those of a line scanner are along the borders of its line: h is 1.
+        """
+        return border_slopes(self.lens, self.sensor)
+
+    def slope_limits(self) -> NDArray[np.float64]:
+        """`(2, 2)` the least and the largest of the `ray_slopes`, (x/z, y/z) each."""
+        return slope_limits(self.lens, self.sensor)
+
+    def pixel_directions(self, rows: slice | None = None) -> NDArray[np.float64]:
+        """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only.
+
+        Those of some rows, `(n, w, 3)`, take no more memory than these if the image is large.
+        """
+        if rows is None:
+            return centre_directions(self.lens, self.sensor)
+        return row_directions(self.lens, self.sensor, rows)
 
     def project(self, points_world: ArrayLike) -> NDArray[np.float64]:
         """Pixel coordinates (u, v), `(n, 2)`, of world points `(n, 3)`, inside the image or not.
@@ -267,56 +290,3 @@ class Camera:
                 "labels_per_row": self.labels_per_row,
             }
         return described
-
-
-def relative_illumination(camera: Camera) -> NDArray[np.float64]:
-    """`(h, w)` fall-off towards the image corners, 1 on the axis; 1 everywhere if it is switched off.
-
-    Natural times mechanical vignetting. Seen at the field angle theta, the pupil is smaller by cos(theta),
-    and a pixel receives light from a solid angle that is smaller by cos^3(theta), but larger where the
-    distortion contracts the image: cos^4(theta) over the distortion's scale of areas, so that all light that
-    enters the pupil reaches the sensor (M. Reiss, "The cos^4 law of illumination", J. Opt. Soc. Am. 35 (1945)
-    283). The lens' own table is multiplied with it.
-    """
-    directions = camera.pixel_directions()
-    if not camera.developing.falloff:
-        return np.ones(directions.shape[:2])
-    cosine = directions[..., 2]
-    relative = cosine**4
-    distortion = camera.lens.distortion
-    if not distortion.is_zero:
-        relative = relative / distortion.area_scale(directions[..., :2] / cosine[..., None])
-    if camera.lens.vignetting is not None:
-        relative = relative * camera.lens.vignetting.at(np.arccos(np.minimum(cosine, 1.0)))
-    return np.asarray(relative)
-
-
-def expected_electrons(signal: ArrayLike, camera: Camera) -> NDArray[np.float64]:
-    """`(h, w, c)` mean photo-electrons of a photosite of each colour, before noise and saturation.
-
-    The camera equation: under the radiance L, a lens of f-number N gives the irradiance E = L pi / (4 N^2) T
-    in the middle of the sensor (far from its focal length), and less towards the corners; a photosite
-    integrates it over its area and the exposure. A lens that stretches the image, fy > fx, spreads the same
-    light over a larger area.
-
-    Args:
-        signal: `(h, w, c)` integral of L(lambda) QE_c(lambda) lambda / (h c) over wavelength: photo-electrons
-            per second, square metre and steradian, averaged over the exposure; by sensor channel.
-        camera: aperture, transmittance, exposure, pitch and fall-off.
-
-    Raises:
-        ValueError: the signal does not have the image's shape.
-    """
-    light = np.asarray(signal, dtype=float)
-    shape = (camera.height, camera.width, camera.sensor.channels)
-    if light.shape != shape:
-        raise ValueError(f"a signal must have the shape {shape}, not {light.shape}")
-    return light * electrons_per_light(camera)[..., None]
-
-
-def electrons_per_light(camera: Camera) -> NDArray[np.float64]:
-    """`(h, w)` factor of each pixel from light to electrons; see `expected_electrons`."""
-    lens, sensor = camera.lens, camera.sensor
-    solid_angle = math.pi / (4 * lens.f_number**2) / lens.fy_over_fx
-    on_axis = sensor.pitch_m**2 * camera.exposure_s * solid_angle * lens.transmittance
-    return np.asarray(on_axis * relative_illumination(camera))

@@ -12,17 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.colorimetry import d65_spectrum, srgb_decode, srgb_encode
 from pepperscene.camera.colour_correction import ColourCorrection, colour_correction, white_balance_gains
-from pepperscene.camera.readout import (
-    LARGEST_PEDESTAL,
-    Developing,
-    Floats,
-    Tone,
-    average_areas,
-    bin_photosites,
-    demosaic_image,
-    read_out,
-)
-from pepperscene.camera.sensor import Sensor
+from pepperscene.camera.mosaic_strips import colour_strips, mosaic_strips
+from pepperscene.camera.readout import LARGEST_PEDESTAL, Floats, Tone
+from pepperscene.camera.row_strips import row_strips
 from pepperscene.spectra import Spectrum
 
 AUTO_PEDESTAL: Final = 0.7
@@ -49,9 +41,13 @@ def develop(
             that the camera does not have, or the sensor has bands.
         InputError: the sensor cannot distinguish colours under the reference light.
     """
-    linear = add_pedestal(correct_colours(camera_rgb(electrons, camera, rng), camera), camera)
-    codes = encode_tone(linear, camera.developing.tone)
-    return np.repeat(codes, 3, axis=-1) if camera.sensor.channels == 1 else codes
+    expected = _check_electrons(electrons, camera)
+    _check_has_mosaic(camera)
+    image = np.empty((camera.height, camera.width, 3), np.uint8)
+    for rows, rgb in colour_strips(expected, camera.sensor, rng, camera.developing):
+        linear = add_pedestal(correct_colours(rgb, camera), camera)
+        image[rows] = encode_tone(linear, camera.developing.tone)
+    return image
 
 
 def raw_frame(
@@ -64,7 +60,11 @@ def raw_frame(
     """
     _check_has_mosaic(camera)
     developing = dataclasses.replace(camera.developing, quantise=True, saturation=True)
-    return read_out(_check_electrons(electrons, camera), camera.sensor, rng, developing).astype(np.uint16)
+    expected = _check_electrons(electrons, camera)
+    image = np.empty(camera.sensor.site_shape, np.uint16)
+    for rows, sites in mosaic_strips(expected, camera.sensor, rng, developing):
+        image[rows] = sites
+    return image
 
 
 def measured_electrons(
@@ -76,8 +76,9 @@ def measured_electrons(
     photosites of each pixel; noise can make them slightly negative. Arguments and errors are those of
     `camera_rgb`.
     """
-    sensor = camera.sensor
-    return camera_rgb(electrons, camera, rng) * np.float32(sensor.full_well_e / sensor.gain)
+    sensor, measured = camera.sensor, camera_rgb(electrons, camera, rng)
+    measured *= np.float32(sensor.full_well_e / sensor.gain)
+    return measured
 
 
 def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None) -> Floats:
@@ -92,26 +93,14 @@ def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | 
     """
     sensor, expected = camera.sensor, _check_electrons(electrons, camera)
     if sensor.pattern != "bands":
-        return _read_pixels(expected, sensor, rng, camera.developing)
+        strips = [rgb for _, rgb in colour_strips(expected, sensor, rng, camera.developing)]
+        return strips[0] if len(strips) == 1 else np.concatenate(strips)
     pixels = np.empty(expected.shape, np.float32)
     for number in range(sensor.channels):
         band = slice(number, number + 1)
-        pixels[..., band] = _read_pixels(expected[..., band], sensor, rng, camera.developing)
+        for rows, values in colour_strips(expected[..., band], sensor, rng, camera.developing):
+            pixels[rows, :, band] = values
     return pixels
-
-
-def _read_pixels(
-    expected: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator | None, developing: Developing
-) -> Floats:
-    """Pixels of a Bayer or monochrome sensor, or of one band `(h, w, 1)`; see `camera_rgb`."""
-    sites = read_out(expected, sensor, rng, developing)
-    sites -= np.float32(sensor.black_level_dn)
-    sites /= np.float32(sensor.full_scale_dn - sensor.black_level_dn)
-    if sensor.pattern not in ("mono", "bands") and sensor.binning == 1:
-        return average_areas(demosaic_image(sites, sensor.pattern, developing.demosaic), sensor)
-    if sensor.reduction is not None:
-        return average_areas(sites[..., None], sensor)
-    return bin_photosites(sites, sensor)
 
 
 def correct_colours(rgb: Floats, camera: Camera) -> Floats:
@@ -262,10 +251,10 @@ def _check_has_mosaic(camera: Camera) -> None:
 
 
 def _check_electrons(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
-    """Finite electrons of the image's shape, clipped at 0."""
+    """Finite electrons of the image's shape."""
     expected, shape = np.asarray(electrons), (camera.height, camera.width, camera.sensor.channels)
     if expected.shape != shape:
         raise ValueError(f"electrons must have the shape {shape}, not {expected.shape}")
-    if not np.isfinite(expected).all():
+    if not all(np.isfinite(expected[rows]).all() for rows in row_strips(camera.width, camera.height)):
         raise ValueError("electrons must be finite")
-    return np.maximum(expected, 0.0)
+    return expected

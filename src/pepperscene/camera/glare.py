@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
+from pepperscene.camera.row_strips import is_whole, row_strips
 from pepperscene.camera.sensor import Sensor
 from pepperscene.camera.stray_light import StrayLight
 
@@ -33,48 +34,66 @@ _GHOST_COLUMNS: Final = 96
 """Chosen: columns of the coarse image of ghosts, whose cells are smaller than their blur on most sensors."""
 
 
-def add_stray_light(electrons: ArrayLike, camera: Camera) -> Array:
+def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
     """`(h, w, c)` expected electrons with the lens' stray light, which `developing.stray_light` switches on.
 
     The sum over the image is kept for each colour, and only ghosts change a uniform image. Labels do not
     depend on it: scattered light belongs to no object.
+
+    A large image in single precision is computed in single precision, which is exact to a millionth of its
+    root mean square, and overwritten.
 
     Args:
         electrons: `(h, w, c)` expected electrons of a photosite of each colour without stray light; values
             below 0 count as 0.
         camera: lens and sensor.
     """
-    image = np.asarray(electrons, dtype=float)
-    stray, sensor = camera.lens.stray_light, camera.sensor
+    image, stray = np.asarray(electrons), camera.lens.stray_light
     size = image.shape[0], image.shape[1]
-    wavelength_m = _mean_wavelength_m(sensor)
-    transfer = _transfer(stray, camera.lens.f_number, sensor.pixel_pitch_m, wavelength_m, size)
-    result = np.empty_like(image)
+    is_single = image.dtype == np.float32 and not is_whole(size[1], size[0])
+    image = image if is_single else np.asarray(image, dtype=float)
+    transfer = _transfer(
+        stray,
+        camera.lens.f_number,
+        camera.sensor.pixel_pitch_m,
+        _mean_wavelength_m(camera.sensor),
+        size,
+        image.dtype.name,
+    )
+    result = image if is_single else np.empty_like(image)
     for channel in range(image.shape[-1]):
-        plane = np.maximum(image[..., channel], 0.0)
+        plane = np.maximum(image[..., channel], image.dtype.type(0.0))
         spread = _multiply_frequencies(plane, transfer)
         np.maximum(spread, 0.0, out=spread)
         if stray.ghosts:
-            spread += _ghosts(plane, camera)
+            _add_ghosts(spread, plane, camera)
         # All remaining light is spread evenly: the veil, and what leaves the image.
-        np.add(spread, (plane.sum() - spread.sum()) / plane.size, out=result[..., channel])
+        remaining = plane.sum(dtype=float) - spread.sum(dtype=float)
+        np.add(spread, image.dtype.type(remaining / plane.size), out=result[..., channel])
     return result
 
 
 @lru_cache(maxsize=2)
 def _transfer(
-    stray: StrayLight, f_number: float, pitch_m: float, wavelength_m: float, shape: tuple[int, int]
-) -> Array:
+    stray: StrayLight,
+    f_number: float,
+    pitch_m: float,
+    wavelength_m: float,
+    shape: tuple[int, int],
+    dtype: str = "float64",
+) -> NDArray[np.floating]:
     """`(h, w)` factors on the image's cosine transform; read-only, and shared by all frames of a camera."""
     from scipy.fft import dctn
 
-    spread = point_spread(stray, f_number, pitch_m, wavelength_m, shape)
-    factors = np.ascontiguousarray(dctn(spread, type=1)[: shape[0], : shape[1]])
+    spread = point_spread(stray, f_number, pitch_m, wavelength_m, shape, dtype)
+    factors = np.ascontiguousarray(dctn(spread, type=1, overwrite_x=True)[: shape[0], : shape[1]])
     factors.setflags(write=False)
     return factors
 
 
-def _multiply_frequencies(plane: Array, transfer: Array) -> Array:
+def _multiply_frequencies(
+    plane: NDArray[np.floating], transfer: NDArray[np.floating]
+) -> NDArray[np.floating]:
     from scipy.fft import dctn, idctn
 
     frequencies = dctn(plane, type=2)
@@ -83,8 +102,13 @@ def _multiply_frequencies(plane: Array, transfer: Array) -> Array:
 
 
 def point_spread(
-    stray: StrayLight, f_number: float, pitch_m: float, wavelength_m: float, shape: tuple[int, int]
-) -> Array:
+    stray: StrayLight,
+    f_number: float,
+    pitch_m: float,
+    wavelength_m: float,
+    shape: tuple[int, int],
+    dtype: str = "float64",
+) -> NDArray[np.floating]:
     """`(h + 1, w + 1)` fraction of a pixel's light in the pixels at 0 to h rows and 0 to w columns from it.
 
     Diffraction and scatter, without veil and ghosts. The light is uniform within its pixel.
@@ -96,10 +120,12 @@ def point_spread(
     width, exponent = stray.scatter_width_m, stray.scatter_exponent
 
     # Far pixels: the density at their centres; of the Airy pattern without its rings, narrower than a pixel.
-    row, column = np.ogrid[: shape[0] + 1, : shape[1] + 1]
-    radius = np.maximum(np.hypot(row, column), 1.0) * pitch_m
-    density = (exponent - 1.0) / (np.pi * width**2) * (1.0 + (radius / width) ** 2) ** -exponent
-    spread = (stray.scatter * density + direct / (np.pi**3 * cutoff * radius**3)) * pitch_m**2
+    spread = np.empty((shape[0] + 1, shape[1] + 1), dtype)
+    for part in row_strips(shape[1] + 1, shape[0] + 1):
+        row, column = np.ogrid[part, : shape[1] + 1]
+        radius = np.maximum(np.hypot(row, column), 1.0) * pitch_m
+        density = (exponent - 1.0) / (np.pi * width**2) * (1.0 + (radius / width) ** 2) ** -exponent
+        spread[part] = (stray.scatter * density + direct / (np.pi**3 * cutoff * radius**3)) * pitch_m**2
 
     # Rayleigh's integral of the Airy pattern, tabulated because Bessel functions are slow.
     v = np.arange(0.0, np.pi * cutoff * 1.5 * (_NEAR + 2) * pitch_m + _V_STEP, _V_STEP)
@@ -144,8 +170,8 @@ def _mean_wavelength_m(sensor: Sensor) -> float:
     return float(np.trapezoid(nm * sensitivity, nm) / np.trapezoid(sensitivity, nm)) * 1e-9
 
 
-def _ghosts(plane: Array, camera: Camera) -> Array:
-    """`(h, w)` light of all ghosts: the image scaled about the optical axis and blurred.
+def _add_ghosts(spread: NDArray[np.floating], plane: NDArray[np.floating], camera: Camera) -> None:
+    """Add the light of all ghosts, `(h, w)`: the image scaled about the optical axis and blurred.
 
     Light outside the image is lost. Ghosts are computed on a coarse grid, because they have no details.
     """
@@ -154,7 +180,7 @@ def _ghosts(plane: Array, camera: Camera) -> Array:
     cell = max(-(-plane.shape[1] // _GHOST_COLUMNS), 1)
     # The last cells can be smaller.
     rows, columns = (np.append(np.arange(0, size, cell), size) for size in plane.shape)
-    coarse = np.add.reduceat(np.add.reduceat(plane, rows[:-1], axis=0), columns[:-1], axis=1)
+    coarse = np.add.reduceat(np.add.reduceat(plane, rows[:-1], axis=0, dtype=float), columns[:-1], axis=1)
     centre_column, centre_row = camera.intrinsics[:2, 2]
     total = np.zeros_like(coarse)
     for ghost in camera.lens.stray_light.ghosts:
@@ -169,10 +195,18 @@ def _ghosts(plane: Array, camera: Camera) -> Array:
         reflected = np.pad(scaled, len(disc) // 2, mode="symmetric")
         total += ghost.fraction * np.maximum(fftconvolve(reflected, disc, mode="valid"), 0.0)
     density = total / (np.diff(rows)[:, None] * np.diff(columns))
-    fine = _interpolate(_interpolate(density, rows, 0), columns, 1)
+
+    def ghosts(part: slice) -> Array:
+        return _interpolate(_interpolate(density, rows, 0, part), columns, 1)
+
+    first, *others = row_strips(plane.shape[1], plane.shape[0])
+    fine = ghosts(first)
     # Interpolation keeps the sum only approximately.
-    fine *= total.sum() / max(fine.sum(), np.finfo(float).tiny)
-    return fine
+    interpolated = fine.sum() + sum(ghosts(part).sum() for part in others)
+    scale = total.sum() / max(interpolated, np.finfo(float).tiny)
+    spread[first] += fine * scale
+    for part in others:
+        spread[part] += ghosts(part) * scale
 
 
 def _scaled_cells(edges: NDArray[np.intp], centre: float, scale: float) -> Array:
@@ -183,10 +217,13 @@ def _scaled_cells(edges: NDArray[np.intp], centre: float, scale: float) -> Array
     return np.asarray(np.maximum(overlap, 0.0) / (high - low))
 
 
-def _interpolate(cells: Array, edges: NDArray[np.intp], axis: int) -> Array:
-    """Values at pixels along an axis, linear between the centres of cells and constant at the borders."""
+def _interpolate(cells: Array, edges: NDArray[np.intp], axis: int, part: slice = slice(None)) -> Array:
+    """Values at pixels along an axis, linear between the centres of cells and constant at the borders.
+
+    `part` are some of the pixels.
+    """
     centres = (edges[:-1] + edges[1:]) / 2.0
-    place = np.interp(np.arange(edges[-1]) + 0.5, centres, np.arange(len(centres)))
+    place = np.interp(np.arange(edges[-1])[part] + 0.5, centres, np.arange(len(centres)))
     lower = np.minimum(place.astype(np.intp), max(len(centres) - 2, 0))
     weight = (place - lower)[:, None] if axis == 0 else place - lower
     values = np.diff(cells, axis=axis, append=cells.take([-1], axis)).take(lower, axis)

@@ -1,6 +1,6 @@
 """The pixels of a lens and a sensor: pinhole matrix, rays through pixels, and limits of the field of view.
 
-Arrays are shared by all cameras with this lens and sensor, at any pose.
+Arrays of whole images are shared by all cameras with this lens and sensor, at any pose.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.lens import Lens
+from pepperscene.camera.row_strips import is_whole, row_strips
 from pepperscene.camera.sensor import Sensor
 from pepperscene.errors import InputError
 
@@ -96,14 +97,71 @@ def pixel_slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64
     return slopes
 
 
+def corner_slopes(lens: Lens, sensor: Sensor, rows: slice) -> NDArray[np.float64]:
+    """Undistorted slopes of pixel corners in some of the h + 1 rows of corners, `(n, w + 1, 2)`; read-only.
+
+    Those of a large image are computed anew. Those of a line scanner are of its line: h is 1.
+    """
+    if sensor.line_scan:
+        return corner_slopes(lens, sensor.line, rows)
+    if is_whole(sensor.columns, sensor.rows):
+        return pixel_slopes(lens, sensor, 0.0)[rows]
+    return _undistorted_slopes(lens, sensor, np.arange(sensor.columns + 1), np.arange(sensor.rows + 1)[rows])
+
+
+@lru_cache(maxsize=8)
+def border_slopes(lens: Lens, sensor: Sensor) -> tuple[NDArray[np.float64], ...]:
+    """Undistorted slopes of the pixel corners along each border: top and bottom `(w + 1, 2)`, left and right
+    `(h + 1, 2)`; read-only. Those of a line scanner are of its line: h is 1.
+    """
+    if sensor.line_scan:
+        return border_slopes(lens, sensor.line)
+    if is_whole(sensor.columns, sensor.rows):
+        slopes = pixel_slopes(lens, sensor, 0.0)
+        return slopes[0], slopes[-1], slopes[:, 0], slopes[:, -1]
+    u, v = np.arange(sensor.columns + 1), np.arange(sensor.rows + 1)
+    top, bottom = _undistorted_slopes(lens, sensor, u, v[[0, -1]])
+    left, right = np.moveaxis(_undistorted_slopes(lens, sensor, u[[0, -1]], v), 1, 0)
+    borders = top, bottom, left, right
+    for border in borders:
+        border.setflags(write=False)
+    return borders
+
+
+@lru_cache(maxsize=8)
+def slope_limits(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
+    """`(2, 2)` the least and the largest undistorted slopes (x/z, y/z) of all pixel corners; read-only."""
+    if sensor.line_scan:
+        return slope_limits(lens, sensor.line)
+    limits = []
+    for rows in row_strips(sensor.columns + 1, sensor.rows + 1):
+        slopes = corner_slopes(lens, sensor, rows).reshape(-1, 2)
+        limits += [slopes.min(axis=0), slopes.max(axis=0)]
+    result = np.array([np.min(limits, axis=0), np.max(limits, axis=0)])
+    result.setflags(write=False)
+    return result
+
+
 @lru_cache(maxsize=8)
 def centre_directions(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only."""
-    slopes = pixel_slopes(lens, sensor, 0.5)
-    directions = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    directions.setflags(write=False)
+    directions = _directions(pixel_slopes(lens, sensor, 0.5))
     # The line of a line scanner looks in the same directions at all times.
     return (
         np.broadcast_to(directions, (sensor.rows, *directions.shape[1:])) if sensor.line_scan else directions
     )
+
+
+def row_directions(lens: Lens, sensor: Sensor, rows: slice) -> NDArray[np.float64]:
+    """`centre_directions` of some rows of pixels, `(n, w, 3)`; those of a large image are computed anew."""
+    if sensor.line_scan or is_whole(sensor.columns, sensor.rows):
+        return centre_directions(lens, sensor)[rows]
+    u, v = np.arange(sensor.columns) + 0.5, np.arange(sensor.rows)[rows] + 0.5
+    return _directions(_undistorted_slopes(lens, sensor, u, v))
+
+
+def _directions(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+    directions = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    directions.setflags(write=False)
+    return directions

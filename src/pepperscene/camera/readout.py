@@ -34,7 +34,7 @@ LARGEST_PEDESTAL: Final = 0.25  # of full scale; chosen: black is then a bright 
 _FEW_ELECTRONS: Final = 32.0  # chosen: below, single electrons and the lack of negative counts could show
 _MAX_ELECTRONS: Final = 1e18  # chosen: beyond any light, and far from where single precision ends
 _STRIP: Final = 1 << 18  # chosen: photosites processed at once, so that they stay in the cache
-_MARGIN: Final = (
+DEMOSAIC_MARGIN: Final = (
     8  # photosites; even, to keep the pattern, and beyond the reach of the widest demosaic filter
 )
 
@@ -200,12 +200,15 @@ def spread_to_photosites(pixels: NDArray[np.floating], sensor: Sensor) -> Floats
     return sites
 
 
-def average_areas(colours: Floats, sensor: Sensor) -> Floats:
-    """`(h, w, c)` means of demosaiced photosites `(site rows, site columns, c)` over each pixel's area."""
+def average_areas(colours: Floats, sensor: Sensor, rows: slice = slice(None)) -> Floats:
+    """`(h, w, c)` means of demosaiced photosites `(site rows, site columns, c)` over each pixel's area.
+
+    With `rows` of the image, from the rows of photosites that `AreaAverage.sites_of` says.
+    """
     if sensor.areas is None:
         return colours
     down, right = sensor.areas
-    return right.average(down.average(colours, 0), 1)
+    return right.average(down.average(colours, 0, rows), 1)
 
 
 def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
@@ -257,5 +260,6 @@ def demosaic_image(sites: Floats, pattern: str, method: Demosaic) -> Floats:
         "menon": colour_demosaicing.demosaicing_CFA_Bayer_Menon2007,
         "bilinear": colour_demosaicing.demosaicing_CFA_Bayer_bilinear,
     }[method]
-    colours = demosaic(np.pad(sites, _MARGIN, mode="reflect"), pattern.upper())
-    return colours[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN].astype(np.float32)
+    margin = DEMOSAIC_MARGIN
+    colours = demosaic(np.pad(sites, margin, mode="reflect"), pattern.upper())
+    return colours[margin:-margin, margin:-margin].astype(np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, electrons_per_light, measured_electrons
+from pepperscene.camera.row_strips import row_strips
 from pepperscene.camera.white_reference import WhiteReference, flash_on_panel
 from pepperscene.render.kernel.camera import (
     SpectralResponse,
@@ -20,20 +21,27 @@ from pepperscene.scene import Scene
 Array = NDArray[np.float64]
 
 
-def band_images(
+def radiance_image(signal: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """`(h, w, c)` radiance of each band from its light, as of `expected_electrons`."""
+    integrals = response_integrals(camera)
+    radiance = np.empty(signal.shape, np.float32)
+    for rows in row_strips(camera.width, camera.height):
+        radiance[rows] = signal[rows] / integrals
+    return radiance
+
+
+def measured_images(
     names: Collection[str],
-    signal: NDArray[np.float32],
-    electrons: Array,
+    electrons: NDArray[np.float32],
     camera: Camera,
     scene: Scene,
     panel: WhiteReference,
     noise: np.random.SeedSequence,
 ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """The outputs of a sensor with bands that are requested, and the description of the white reference.
+    """What a sensor with bands measures of what is requested, and the description of the white reference.
 
     Args:
         names: of outputs.
-        signal: `(h, w, c)` light, as of `expected_electrons`.
         electrons: `(h, w, c)` expected electrons.
         camera: of the frame.
         scene: with the frame's sky.
@@ -42,14 +50,15 @@ def band_images(
     """
     images: dict[str, NDArray[np.float32]] = {}
     described: dict[str, Any] = {}
-    if "radiance" in names:
-        images["radiance"] = (signal / response_integrals(camera)).astype(np.float32)
     if {"bands", "reflectance"}.intersection(names):
         images["bands"] = measured_electrons(electrons, camera, np.random.default_rng(noise))
     if "reflectance" in names:
         light = white_light(camera, scene, panel)
-        white = light[:, None] * electrons_per_light(camera)[..., None]
-        images["reflectance"] = (panel.reflectance * images["bands"] / white).astype(np.float32)
+        reflectance = np.empty(electrons.shape, np.float32)
+        for rows in row_strips(camera.width, camera.height):
+            white = light[rows, None] * electrons_per_light(camera, rows)[..., None]
+            reflectance[rows] = panel.reflectance * images["bands"][rows] / white
+        images["reflectance"] = reflectance
         on_axis = light[camera.height // 2] / response_integrals(camera)
         described["white_reference"] = {**panel.metadata(), "radiance": on_axis.tolist()}
     return images, described

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from pepperscene.camera import (
     Camera,
     DepthCamera,
-    add_stray_light,
     align_depth,
     choose_exposure,
     develop,
-    expected_electrons,
+    image_electrons,
     match_depth,
     with_exposure,
 )
@@ -116,9 +115,7 @@ class _Imager:
 
     def picture(self, signal: NDArray[np.float32]) -> NDArray[np.uint8]:
         """`(h, w, 3)` its developed image of that light, with noise."""
-        electrons = expected_electrons(signal, self.camera)
-        if self.camera.developing.stray_light:
-            electrons = add_stray_light(electrons, self.camera)
+        electrons = image_electrons(signal, self.camera)
         return develop(electrons, self.camera, np.random.default_rng(self.noise))
 
 

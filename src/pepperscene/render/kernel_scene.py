@@ -23,15 +23,16 @@ from pepperscene.render.quality import Quality
 from pepperscene.render.reference.exposure import exposed_paths
 from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
 from pepperscene.render.transport.adaptive import AdaptiveSampler
-from pepperscene.render.transport.denoise import denoised, denoised_indirect
-from pepperscene.render.transport.exposure import ExposurePart, exposure_parts, in_rows, sum_of_parts
+from pepperscene.render.transport.denoise import denoised_indirect
+from pepperscene.render.transport.exposure import ExposurePart, exposure_parts
 from pepperscene.render.transport.path_lengths import (
     has_daylight_alone,
     needs_long_paths,
     surface_triangles,
 )
 from pepperscene.render.transport.projection import PROJECTED_SAMPLES, projected_light
-from pepperscene.render.transport.trace import Sampling, trace
+from pepperscene.render.transport.strips import LightPart, trace_in_strips
+from pepperscene.render.transport.trace import Sampling, frame_light, trace
 from pepperscene.scene import Scene, Sky
 
 TracedSignal = tuple[NDArray[np.float32], dict[str, Any]]
@@ -78,18 +79,16 @@ class KernelScene:
     ) -> TracedSignal:
         """Trace light with our integrator."""
         quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
-        adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
-        light = trace(
+        light = frame_light(
             self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
             self.rays(camera),
             response,
             camera.flash,
             sky_tables(scene, response.grid_nm),
-            _sampling(quality, adaptive),
+            (quality.bounces, quality.most_bounces),
             seed,
         )
-        signal = denoised(light) if quality.denoise else light.total()
-        return signal, adaptive.metadata(light)
+        return trace_in_strips(camera, quality, [LightPart(light)])
 
     def _expose(
         self,
@@ -104,24 +103,18 @@ class KernelScene:
         light_scene = self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
         rays, lights = self.rays(camera), []
         quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
-        # The variances of the parts add up to that of the whole.
-        target = None if quality.target is None else quality.target / len(parts) ** 0.5
-        signal = np.zeros((camera.height, camera.width, camera.sensor.channels), np.float32)
         for part, stream in zip(parts, sampling.spawn(len(parts)), strict=True):
-            adaptive = AdaptiveSampler(camera, target, quality.most, denoised=quality.denoise)
-            light = trace(
+            light = frame_light(
                 light_scene,
                 moving_rays(rays, camera.motion or Motion(), part.windows),
                 response,
                 camera.flash if part.has_flash else None,
                 sky_tables(scene, response.grid_nm) if part.has_daylight else None,
-                _sampling(quality, adaptive),
+                (quality.bounces, quality.most_bounces),
                 int(stream.generate_state(1)[0]),
             )
-            lights.append(in_rows(light, part.share))
-            signal += denoised(lights[-1]) if quality.denoise else lights[-1].total()
-        whole = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
-        return signal, whole.metadata(sum_of_parts(lights))
+            lights.append(LightPart(light, part.share))
+        return trace_in_strips(camera, quality, lights, is_divided=True)
 
     def _expose_paths(
         self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence, scene: Scene

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
+from pepperscene.camera.row_strips import is_whole, row_strips
 from pepperscene.frame import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS, needs_surfaces
 from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality
@@ -88,6 +89,20 @@ _UV_PIXELS, _PER_UV_PIXEL, _PER_TRAIT_PIXEL = 1 << 20, 350.0, 420.0
 """Pixels whose surface coordinates are computed at a time, as in `pepperscene.render.aov.labels`, and bytes
 of each, measured 330 to 380; and bytes of each for the contents of tissue."""
 
+_PER_CORNER: Final = 8.0  # bytes per pixel of a large image: the slopes of its corners on the device
+_SURROUNDINGS, _TILE_PIXELS = 48, 1 << 19
+"""Pixels around a tile of the denoiser, and in it, as in `pepperscene.render.transport.strips`."""
+_PER_RAY: Final = 100.0
+"""Bytes per pixel of a strip: its rays in double precision, and what computing them takes; chosen."""
+_PER_STRAY: Final = 20.0
+"""Bytes per pixel of stray light in a large image: five planes in single precision."""
+_PER_BAND_IN_TILE: Final = 12.0
+"""Bytes per pixel and band of a tile of the denoiser: the light, in parts, and the result."""
+_PER_DEVELOPED: Final = 100.0
+"""Bytes per pixel of a strip that is developed: 25 values."""
+_WHOLE_LABELS: Final = {"coverage": 55.0}
+"""Bytes per pixel of a large image that one of these outputs takes, as it is not computed in strips."""
+
 _PER_IMAGER: Final = 60.0
 """Bytes per pixel of the light of the first imager while the second is traced, and of both images; chosen:
 fifteen values."""
@@ -118,20 +133,38 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
         quality: of the frames.
         triangles: of the scene, before those that no camera sees are left out.
     """
-    pixels, labels = camera.width * camera.height, [name for name in outputs if not OUTPUTS[name].traced]
+    in_strips = not is_whole(camera.width, camera.height)
+    return _frame_memory(camera, outputs, quality, triangles, in_strips=in_strips)
+
+
+def _frame_memory(
+    camera: Camera, outputs: Collection[str], quality: Quality, triangles: int, *, in_strips: bool
+) -> int:
     total = _PROCESS + _PER_TRIANGLE * triangles
     if compilation.AVAILABLE:
         total += _COMPILER
-    per_pixel = 0.0
+    is_traced = any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS)
     if needs_surfaces(set(outputs) - DEPTH_CAMERA_OUTPUTS):
         total += _TEXTURES
-    if any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS):
+    if is_traced:
         # The loop of longer paths has the code of one bounce.
-        bounces = quality.bounces + (quality.most_bounces > 0)
-        total += _device_memory(camera, quality) + _PER_BOUNCE * (bounces - 1)
+        total += _PER_BOUNCE * (quality.bounces + (quality.most_bounces > 0) - 1)
+    total += sum(_BESIDES.get(name, 0.0) for name in outputs)
+    if in_strips and not (is_traced and quality.integrator == "path"):
+        total += _strips_memory(camera, outputs, quality, is_traced=is_traced)
+    else:
+        total += _whole_memory(camera, outputs, quality, is_traced=is_traced)
+    return int(_MARGIN * total)
+
+
+def _whole_memory(camera: Camera, outputs: Collection[str], quality: Quality, *, is_traced: bool) -> float:
+    """Bytes of the images of a frame whose stages compute the whole image at a time."""
+    pixels, labels = camera.width * camera.height, [name for name in outputs if not OUTPUTS[name].traced]
+    total = per_pixel = 0.0
+    if is_traced:
+        total += _device_memory(camera, quality, pixels)
         if quality.denoise:
-            per_denoised = _PER_DENOISED if camera.flash is not None else _PER_DENOISED_BY_DAYLIGHT
-            total += _denoiser_memory(camera.width, camera.height, per_denoised)
+            total += _denoiser_memory(camera.width, camera.height, _per_denoised(camera))
         # Half of the arrays have one entry for each channel of the sensor.
         share = (3 + camera.sensor.channels) / 6
         sites = _PER_SITE * np.prod(camera.sensor.site_shape) / pixels
@@ -155,13 +188,72 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
         further = max(_FURTHER.get(name, 0.0) for name in labels)
         further += _ROW_POSES if camera.rows_move and further else 0.0
         per_pixel = max(per_pixel, held + _LABELS + further)
-    total += sum(_BESIDES.get(name, 0.0) for name in labels)
+    total += _points_memory(labels, pixels)
+    return total + per_pixel * pixels + sum(_image_size(name, camera) for name in outputs)
+
+
+def _strips_memory(camera: Camera, outputs: Collection[str], quality: Quality, *, is_traced: bool) -> float:
+    """Bytes of the images of a frame whose stages compute one strip of rows after the other."""
+    pixels, channels = camera.width * camera.height, camera.sensor.channels
+    rows = row_strips(camera.width, camera.height)[0].stop
+    strip, share = rows * camera.width, (3 + channels) / 6
+    labels = [name for name in outputs if not OUTPUTS[name].traced]
+    photographs = sum(_image_size(name, camera) for name in outputs if OUTPUTS[name].traced)
+    stages = [0.0]
+    # The rays through the corners of the pixels stay on the device.
+    held = _PER_CORNER * pixels
+    if is_traced:
+        signal = 4.0 * channels * pixels
+        parts = 2 if len(exposure_parts(camera, has_daylight=True)) > 1 else 1
+        traced = _device_memory(camera, quality, strip) + _TRACED_PEAK * share * strip
+        traced += (parts - 1) * _PER_PART * share * strip
+        if quality.denoise:
+            known = camera.width * (2 * rows + _SURROUNDINGS)
+            traced += parts * 4.0 * (3 * channels + 5) * known
+            held += _per_denoised(camera) * _TILE_PIXELS
+            if camera.sensor.pattern == "bands":
+                held += _PER_BAND_IN_TILE * channels * _TILE_PIXELS
+        stages.append(signal + traced)
+        developed = _developing_memory(camera, strip)
+        if "reflectance" in outputs:
+            # From the electrons that are measured, which may not be an output.
+            developed += signal + _PER_BAND * channels * strip
+        stages.append(signal + photographs + developed)
+    if labels:
+        further = max(_FURTHER.get(name, 0.0) for name in labels)
+        further += _ROW_POSES if camera.rows_move and further else 0.0
+        images = sum(_image_size(name, camera) for name in labels)
+        # Of each pixel its instance and its distance are computed in any case.
+        images = max(images, 6.0 * pixels)
+        whole = max(_WHOLE_LABELS.get(name, 0.0) for name in labels) * pixels
+        stages.append(photographs + images + whole + (_LABELS + further + _PER_RAY) * strip)
+        stages[-1] += _points_memory(labels, strip)
+    return held + max(stages)
+
+
+def _points_memory(labels: Collection[str], pixels: int) -> float:
+    """Bytes of the points in triangles behind pixels that are computed together."""
     if TRAIT_OUTPUTS.intersection(labels) - {"leaf_age"}:
-        total += _PER_TRAIT_PIXEL * min(pixels, _UV_PIXELS)
-    elif "uv" in labels:
-        total += _PER_UV_PIXEL * min(pixels, _UV_PIXELS)
-    total += per_pixel * pixels + sum(_image_size(name, camera) for name in outputs)
-    return int(_MARGIN * total)
+        return _PER_TRAIT_PIXEL * min(pixels, _UV_PIXELS)
+    return _PER_UV_PIXEL * min(pixels, _UV_PIXELS) if "uv" in labels else 0.0
+
+
+def _developing_memory(camera: Camera, strip: int) -> float:
+    """Bytes of developing a large image from its electrons, beside these and the images."""
+    pixels, sensor = camera.width * camera.height, camera.sensor
+    stray = _PER_STRAY * pixels if camera.developing.stray_light else 0.0
+    sites = float(np.prod(sensor.site_shape))
+    per_strip = (_PER_DEVELOPED + _PER_SITE * sites / pixels) * strip
+    has_colours = sensor.pattern not in ("mono", "bands")
+    if sensor.areas is None and (sensor.binning > 1 or not has_colours):
+        return max(stray, per_strip)
+    # The mosaic is kept as a whole.
+    per_site = _DEMOSAIC + (_MENON if camera.developing.demosaic == "menon" else 0.0)
+    per_strip += per_site * sites / pixels * strip
+    # Bands are read out one after the other.
+    channels = 3 if has_colours else 1
+    spread = 0.0 if sensor.areas is None else 8.0 * channels * pixels + 8.0 * sites
+    return max(stray, 4.0 * sites + max(per_strip, spread))
 
 
 def depth_memory(
@@ -172,7 +264,8 @@ def depth_memory(
         return 0
     left = depth_camera.left
     pixels = left.width * left.height
-    traced = frame_memory(left, ("colour",), quality, triangles)
+    # Images of this camera are traced as a whole.
+    traced = _frame_memory(left, ("colour",), quality, triangles, in_strips=False)
     if any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS):
         # The scene of the photograph, with its textures, is kept beside that of the imagers.
         traced += int(_TEXTURES + _PER_TRIANGLE * triangles)
@@ -190,9 +283,14 @@ def reserved_address_space() -> int:
     return int(_ADDRESS_SPACE + _ADDRESS_SPACE_PER_THREAD * (wanted_threads() or cores))
 
 
-def _device_memory(camera: Camera, quality: Quality) -> float:
+def _per_denoised(camera: Camera) -> float:
+    """Bytes per pixel of a tile of the denoiser."""
+    return _PER_DENOISED if camera.flash is not None else _PER_DENOISED_BY_DAYLIGHT
+
+
+def _device_memory(camera: Camera, quality: Quality, pixels: int) -> float:
     """Bytes of the values and sums of wavefronts that Dr.Jit keeps; it rounds sizes up to powers of two."""
-    pixels, channels, total = camera.width * camera.height, camera.sensor.channels, 0.0
+    channels, total = camera.sensor.channels, 0.0
     if camera.sensor.pattern == "bands":
         # Long paths carry their light and its factor in each band.
         lanes = min(_BAND_WAVEFRONT, _BAND_VALUES // channels)

@@ -18,10 +18,9 @@ from pepperscene.camera import (
     DepthCamera,
     ExposureControl,
     WhiteReference,
-    add_stray_light,
     choose_exposure,
     develop,
-    expected_electrons,
+    image_electrons,
     raw_frame,
     with_exposure,
 )
@@ -38,6 +37,7 @@ from pepperscene.frame import (
     check_outputs,
 )
 from pepperscene.render.aov import labels
+from pepperscene.render.aov.label_strips import label_images
 from pepperscene.render.kernel.camera import label_rays
 from pepperscene.render.kernel_scene import KernelScene
 from pepperscene.render.metering import metered_light
@@ -161,12 +161,19 @@ class Renderer:
         if any(OUTPUTS[name].traced for name in own - STEREO_OUTPUTS):
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
             signal, described["sampling"] = self._kernel.trace(camera, quality, sampling, scene)
-            images |= _photographs(requested, signal, camera, noise)
+            if "radiance" in bands:
+                from pepperscene.render.band_images import radiance_image
+
+                images["radiance"] = radiance_image(signal, camera)
+            # What bands measure follows from their electrons.
+            names = (*requested, "electrons") if bands else requested
+            images |= _photographs(names, signal, camera, noise)
+            del signal  # large
             if bands:
-                from pepperscene.render.band_images import band_images
+                from pepperscene.render.band_images import measured_images
 
                 panel, electrons = white_reference or WhiteReference(), images["electrons"]
-                measured = band_images(bands, signal, electrons, camera, scene, panel, noise)
+                measured = measured_images(bands, electrons, camera, scene, panel, noise)
                 images |= measured[0]
                 described |= measured[1]
         if "colour_stereo" in requested:
@@ -196,25 +203,21 @@ class Renderer:
                 # Before the first hits, which then use its kernel scene.
                 kernel_scene = self._kernel.any_light_scene(camera, scene)
                 images["albedo"] = albedo_image(kernel_scene, scene, camera, rays)
-            hits = labels.first_hits(self._kernel.truth_scene(), rays)
-            instance = labels.instance_ids(self.scene.mesh, hits)
-            images |= labels.label_outputs(self.scene.mesh, hits, instance, camera, requested)
-            instances = labels.visible_instances(self.scene.mesh, instance)
+            kernel_scene, coordinates = self._kernel.truth_scene(), self._kernel.coordinates
+            traits = self._traits if TRAIT_OUTPUTS.intersection(requested) else None
+            seen = label_images(
+                self.scene.mesh, kernel_scene, coordinates, rays, camera, requested, others, traits
+            )
+            images |= seen.images
+            instances = labels.visible_instances(self.scene.mesh, seen.instance)
             if "coverage" in requested:
                 images["coverage"] = self._coverage.image(self._kernel.truth_scene(), rays)
-            if traits := TRAIT_OUTPUTS.intersection(requested):
-                images |= self._traits.images(hits, camera, traits)
-            for name in [name for name in ("flow", "stereo") if name in requested]:
-                from pepperscene.render.aov.flow import optical_flow
-
-                mitsuba_scene = self._kernel.truth_scene(), self._kernel.coordinates
-                images[name] = optical_flow(*mitsuba_scene, hits, camera, others.get(name))
             if "harvest" in requested:
-                images["harvest"] = self._harvest.truth(camera, rays, hits, instance)
+                images["harvest"] = self._harvest.truth(camera, rays, seen.distance, seen.instance)
             if "amodal" in requested:
                 visible = labels.visible_organs(instances)
-                masks = self._organs.amodal_masks(visible, camera, rays, instance)
-                images["amodal"] = amodal_truth(masks, instance, self.scene.mesh.instances)
+                masks = self._organs.amodal_masks(visible, camera, rays, seen.instance)
+                images["amodal"] = amodal_truth(masks, seen.instance, self.scene.mesh.instances)
         metadata = {"camera": camera.metadata(), "seed": seed, "variant": variant_name()}
         metadata |= {"versions": _library_versions(), **described, "instances": instances}
         return Frame({name: images[name] for name in requested}, metadata)
@@ -313,11 +316,11 @@ def _check_others(requested: tuple[str, ...], others: Mapping[str, Camera]) -> M
 def _photographs(
     requested: tuple[str, ...], signal: NDArray[np.float32], camera: Camera, noise: np.random.SeedSequence
 ) -> dict[str, NDArray[Any]]:
-    """The camera's outputs from the light that reaches its pixels."""
-    electrons = expected_electrons(signal, camera)
-    if camera.developing.stray_light:
-        electrons = add_stray_light(electrons, camera)
-    images: dict[str, NDArray[Any]] = {"electrons": electrons.astype(np.float32)}
+    """The camera's outputs from the light that reaches its pixels; that of a large image is overwritten."""
+    electrons = image_electrons(signal, camera)
+    images: dict[str, NDArray[Any]] = {}
+    if "electrons" in requested:
+        images["electrons"] = electrons.astype(np.float32, copy=False)
     # Both start from the same generator state: the image is developed from exactly this raw frame.
     if "raw" in requested:
         images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))

@@ -67,13 +67,13 @@ def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float 
         sky_lx: skylight on an unobstructed level plane.
         sun_lx: sunlight on a plane that faces the sun.
     """
-    flash, slopes = camera.flash, np.abs(camera.ray_slopes())
+    flash, (top, bottom, left, right) = camera.flash, camera.border_slopes()
     if flash is None:
         return LightReach(1.0, 1.0, 0.0, distance_m)
     # Everything outside the frustum is at least as far off the flash's axis as the nearest image border.
-    borders = (slopes[0, :, 1].min(), slopes[-1, :, 1].min(), slopes[:, 0, 0].min(), slopes[:, -1, 0].min())
+    slopes = top[:, 1], bottom[:, 1], left[:, 0], right[:, 0]
     # A flash that is turned may light anything with its highest intensity.
-    nearest = np.arctan(min(borders)) if flash.rotation is None else 0.0
+    nearest = np.arctan(min(np.abs(border).min() for border in slopes)) if flash.rotation is None else 0.0
     outside = np.linspace(nearest, np.pi / 2.0, 65)
     stray = float(np.max(flash.profile.at(outside)))
     extent = float(np.linalg.norm(flash.emitter_positions(), axis=1).max()) + flash.radius_m

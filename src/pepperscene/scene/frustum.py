@@ -64,11 +64,11 @@ def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
         poses: `(p, 4, 4)` camera to world.
     """
     pose = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
-    slopes = camera.ray_slopes().reshape(-1, 2)
     # Beyond the focal plane, the rays of a pixel spread by the pupil's radius per focus distance.
     pupil = 0.0 if camera.focus_m is None else camera.aperture_radius_m
     spread = 0.0 if camera.focus_m is None else pupil / camera.focus_m
-    (left, top), (right, bottom) = slopes.min(axis=0) - spread, slopes.max(axis=0) + spread
+    lowest, highest = camera.slope_limits()
+    (left, top), (right, bottom) = lowest - spread, highest + spread
     inward = np.array([[1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom], [0, 0, 1.0]])
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
     # The flash may extend beyond half-spaces through the projection centre.

@@ -17,7 +17,8 @@ from strain import OUTPUTS, assert_sound, surface, triangles
 
 from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh, concatenate_meshes
-from pepperscene.render import Renderer, kernel_scene
+from pepperscene.render import Renderer
+from pepperscene.render.transport import strips
 from pepperscene.scene import Scene, Sky, assemble_scene
 from pepperscene.scene.sky import Sun
 from pepperscene.spectra import Spectrum
@@ -110,8 +111,8 @@ def assert_light_needs_a_hit(light) -> None:
     [(300, "draft", 1), (100, "standard", 1), pytest.param(10_000, "draft", 2, marks=pytest.mark.long)],
 )
 def test_random_scenes_give_valid_frames(count, quality, seed, monkeypatch):
-    traced, denoised = [], kernel_scene.denoised
-    monkeypatch.setattr(kernel_scene, "denoised", lambda light: (traced.append(light), denoised(light))[1])
+    traced, denoised = [], strips.denoised
+    monkeypatch.setattr(strips, "denoised", lambda light: (traced.append(light), denoised(light))[1])
     lit = hit = 0
     for number in range(count):
         scene, camera = random_scene(np.random.default_rng((seed, number)))

@@ -79,6 +79,7 @@ _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _GREY, _RGB, _PALETTE = 0, 2, 3  # PNG colour types
 _UP: Final = 2  # PNG filter: each row holds its difference from the row above
 _DEFLATE_LEVEL, _DEFLATE_MEMORY = 1, 9
+_PNG_PART: Final = 1 << 24  # bytes of an image that are filtered at a time; chosen: more than most images
 
 
 def write_image(path: Path, image: Any, output: str, bands: Sequence[Band] = ()) -> None:
@@ -143,28 +144,35 @@ def png_bytes(image: NDArray[Any], palette: Sequence[tuple[int, int, int]] | Non
         raise ValueError(f"an image of shape {image.shape} and type {image.dtype} does not fit this PNG type")
 
     # Each row: the filter, then its big-endian bytes minus those of the row above.
-    big_endian = image.astype(image.dtype.newbyteorder(">"), order="C", copy=False)
-    rows = big_endian.reshape(len(image), -1).view(np.uint8)
-    filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
-    filtered[:, 0] = _UP
-    filtered[0, 1:] = rows[0]
-    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
+    # A part of the rows at a time, which takes little memory, and gives the same bytes as all at once.
     coder = zlib.compressobj(_DEFLATE_LEVEL, zlib.DEFLATED, zlib.MAX_WBITS, _DEFLATE_MEMORY, zlib.Z_RLE)
-    data = coder.compress(filtered.data) + coder.flush()
+    step, data = max(_PNG_PART // image[0].nbytes, 1), []
+    for top in range(0, len(image), step):
+        rows = image[max(top - 1, 0) : top + step]
+        big_endian = rows.astype(image.dtype.newbyteorder(">"), order="C", copy=False)
+        values = big_endian.reshape(len(rows), -1).view(np.uint8)
+        filtered = np.empty((len(rows), 1 + values.shape[1]), np.uint8)
+        filtered[:, 0] = _UP
+        filtered[0, 1:] = values[0]
+        np.subtract(values[1:], values[:-1], out=filtered[1:, 1:])
+        data.append(coder.compress(filtered[top > 0 :].data))
+    data.append(coder.flush())
 
     # Width, height, bits per value, colour type; deflate, filters by row, not interlaced.
     height, width = image.shape[:2]
     header = struct.pack(">IIBBBBB", width, height, 8 * image.itemsize, colour_type, 0, 0, 0)
-    colours = [] if palette is None else [_chunk(b"PLTE", bytes(value for rgb in palette for value in rgb))]
+    colours = [] if palette is None else _chunk(b"PLTE", bytes(value for rgb in palette for value in rgb))
     return b"".join(
-        [_PNG_SIGNATURE, _chunk(b"IHDR", header), *colours, _chunk(b"IDAT", data), _chunk(b"IEND", b"")]
+        [_PNG_SIGNATURE, *_chunk(b"IHDR", header), *colours, *_chunk(b"IDAT", *data), *_chunk(b"IEND", b"")]
     )
 
 
-def _chunk(name: bytes, content: bytes) -> bytes:
-    """A PNG chunk: length, name, content, checksum."""
-    checksum = zlib.crc32(content, zlib.crc32(name))
-    return b"".join([struct.pack(">I", len(content)), name, content, struct.pack(">I", checksum)])
+def _chunk(name: bytes, *content: bytes) -> list[bytes]:
+    """The parts of a PNG chunk: length, name, content, checksum."""
+    checksum = zlib.crc32(name)
+    for part in content:
+        checksum = zlib.crc32(part, checksum)
+    return [struct.pack(">I", sum(map(len, content))), name, *content, struct.pack(">I", checksum)]
 
 
 def _exr_bytes(image: NDArray[Any], output: str, bands: Sequence[Band]) -> bytes:

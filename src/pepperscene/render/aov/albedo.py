@@ -46,15 +46,13 @@ def albedo_image(kernel_scene: LightScene, scene: Scene, camera: Camera, rays: C
     matrix = colour_transform(camera)[1] if channels == 3 else np.eye(1)
     optics = _reference_optics(kernel_scene, scene, camera)
     total = rays.width * rays.height
-    image = np.empty((total, channels), np.float32)
+    image = np.empty((total, channels), np.float16)
     points = device_array(_pixel_points())
     for start in range(0, total, _LANES // _POINTS):
         end = min(start + _LANES // _POINTS, total)
-        for channel, values in enumerate(_sum_points(kernel_scene, optics, rays, points, start, end)):
-            image[start:end, channel] = values
-    image /= np.float32(_POINTS)
-    developed = _transform(image, matrix).reshape(rays.height, rays.width, channels)
-    return developed.astype(np.float16)
+        sums = np.stack(_sum_points(kernel_scene, optics, rays, points, start, end), axis=-1)
+        image[start:end] = _transform(sums / np.float32(_POINTS), matrix)
+    return image.reshape(rays.height, rays.width, channels)
 
 
 def _reference_optics(kernel_scene: LightScene, scene: Scene, camera: Camera) -> Optics:

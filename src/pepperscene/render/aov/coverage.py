@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.row_strips import row_strips
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import device_array, device_uint
@@ -50,7 +51,8 @@ class SceneCoverage:
 
         They sum to 1 less the fraction that is ignored.
         """
-        classes = self._coarse_classes(scene, rays)
+        strips = row_strips(rays.width, rays.height)
+        classes = np.concatenate([self._coarse_classes(scene, rays, rows) for rows in strips])
         refined = np.zeros(classes.shape, bool)
         organs = classes.astype(np.uint8)
         counts = np.unpackbits(organs[..., None], axis=-1, bitorder="little") * np.uint8(POINTS)
@@ -63,19 +65,24 @@ class SceneCoverage:
             classes.ravel()[pixels[is_ignored]] |= np.uint16(1 << _IGNORED)
             refined.ravel()[pixels] = True
             pixels = np.flatnonzero(_is_mixed(classes) & ~refined)
-        # Exact: integers up to 64 over a power of two.
-        return counts.astype(np.float16) / np.float16(POINTS)
+        fractions = np.empty(counts.shape, np.float16)
+        for rows in strips:
+            # Exact: integers up to 64 over a power of two.
+            np.divide(counts[rows], np.float16(POINTS), out=fractions[rows])
+        return fractions
 
-    def _coarse_classes(self, scene: Any, rays: CameraRays) -> NDArray[np.uint16]:
-        """`(h, w)` the classes that a few rays through each pixel hit, one bit each."""
+    def _coarse_classes(self, scene: Any, rays: CameraRays, rows: slice) -> NDArray[np.uint16]:
+        """`(n, w)` the classes that a few rays through each pixel of some rows hit, one bit each."""
         # In blocks of two by two pixels: sixteen similar rays form one Embree packet.
-        row, column = np.mgrid[: rays.height + 1 & ~1, : rays.width + 1 & ~1].astype(np.uint32)
-        inside = np.minimum(row, rays.height - 1) * rays.width + np.minimum(column, rays.width - 1)
+        height = rows.stop - rows.start
+        row, column = np.mgrid[: height + 1 & ~1, : rays.width + 1 & ~1].astype(np.uint32)
+        inside = np.minimum(row, height - 1) * rays.width + np.minimum(column, rays.width - 1)
         blocks = inside.reshape(inside.shape[0] // 2, 2, -1, 2).swapaxes(1, 2)
         pixels = np.ascontiguousarray(blocks).ravel()
-        hit_classes = self._trace(scene, rays, pixels, _COARSE_POINTS)
+        first = np.uint32(rows.start * rays.width)
+        hit_classes = self._trace(scene, rays, pixels + first, _COARSE_POINTS)
         bits = (1 << hit_classes).astype(np.uint16).reshape(-1, _COARSE_POINTS)
-        classes = np.empty((rays.height, rays.width), np.uint16)
+        classes = np.empty((height, rays.width), np.uint16)
         classes.ravel()[pixels] = bits[:, 0] | bits[:, 1] | bits[:, 2] | bits[:, 3]
         return classes
 

@@ -30,7 +30,7 @@ _SKY_M: Final = 1e9
 def optical_flow(
     scene: Any, coordinates: LocalCoordinates, hits: Hits, camera: Camera, other: Camera | None
 ) -> NDArray[np.float32]:
-    """Compute the flow from a camera, with the hits behind its pixels, to another camera of the same scene.
+    """Compute the flow from a camera, in the rows of some hits, to another camera of the same scene.
 
     Returns:
         `(h, w, 3)` displacement from each pixel's centre to the same point in the other image, pixels right
@@ -43,7 +43,7 @@ def optical_flow(
     if other is None:
         return flow
     sky = hits.face < 0
-    points, directions = positions(hits, camera), world_directions(camera)
+    points, directions = positions(hits, camera), world_directions(camera, hits.rows)
     # The points as vectors from the other camera; for the sky only the direction matters.
     centre = other.pose[:3, 3]
     vectors = points - centre
@@ -53,7 +53,7 @@ def optical_flow(
 
     row, column = np.mgrid[: shape[0], : shape[1]] + 0.5
     flow[..., 0] = pixels[..., 0] - column
-    flow[..., 1] = pixels[..., 1] - row
+    flow[..., 1] = pixels[..., 1] - (row + hits.top)
     if inside.any():
         seen_from, towards = centre, vectors[inside]
         if other.rows_move:

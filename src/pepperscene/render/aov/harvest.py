@@ -14,7 +14,6 @@ from pepperscene.geometry.fruit.fruits import fruit_frames
 from pepperscene.geometry.spine import spines
 from pepperscene.grammar import Organ
 from pepperscene.render.aov.isolated import IsolatedOrgan, IsolatedOrgans
-from pepperscene.render.aov.labels import Hits
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.scene import Scene, Skeleton
 from pepperscene.truth.blossom_end import blossom_end
@@ -45,9 +44,13 @@ class SceneHarvest:
         self._stem_axes: dict[int, NDArray[np.float64]] = {}
 
     def truth(
-        self, camera: Camera, rays: CameraRays, hits: Hits, instance: NDArray[np.uint16]
+        self,
+        camera: Camera,
+        rays: CameraRays,
+        distance: NDArray[np.float32],
+        instance: NDArray[np.uint16],
     ) -> dict[str, Any]:
-        """Compute the output `harvest` from a camera's rays, hits and instance image."""
+        """Compute the output `harvest` from a camera's rays, and its images of distances and instances."""
         near = [index for index, in_view in zip(self._fruit, self._in_view(camera), strict=True) if in_view]
         fruit = []
         for index, amodal in self._organs.amodal_masks(near, camera, rays, instance):
@@ -55,7 +58,7 @@ class SceneHarvest:
             if index not in self._truths:
                 self._truths[index] = self._fruit_truth(index)
             fruit.append((self._truths[index], amodal))
-        view = LabelView(camera, instance, hits.distance)
+        view = LabelView(camera, instance, distance)
         return harvest_truth(fruit, view, self._mesh.instances)
 
     @cached_property
@@ -81,11 +84,11 @@ class SceneHarvest:
             speed, time = float(np.linalg.norm(camera.motion.velocity_m_s)), 0.5 * camera.shutter.readout_s
             farthest = np.linalg.norm([x, y, z], axis=0) + speed * time
             radii = radii + (speed + camera.motion.angular_speed_rad_s * farthest) * time
-        slopes = camera.ray_slopes()
+        borders = np.concatenate(camera.border_slopes())
         inside = z > -radii
         # The image is between the extreme slopes of its borders.
         for along, axis in ((x, 0), (y, 1)):
-            border = np.concatenate([slopes[[0, -1], :, axis].ravel(), slopes[:, [0, -1], axis].ravel()])
+            border = borders[:, axis]
             for side, limit in ((1.0, border.max()), (-1.0, -border.min())):
                 inside &= side * along - limit * z <= radii * np.hypot(1.0, limit)
         return inside

@@ -28,35 +28,43 @@ _UV_PIXELS: Final = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The first hit behind each pixel's centre."""
+    """The first hit behind each pixel's centre, in h rows of an image."""
 
     face: NDArray[np.int64]  # `(h, w)` int64, index of the triangle hit, -1 for the background
     distance: NDArray[np.float32]  # `(h, w)` float32, metres along the ray, inf for the background
+    top: int = 0  # number of the first row
+
+    @property
+    def rows(self) -> slice:
+        """The rows of the image."""
+        return slice(self.top, self.top + len(self.face))
 
 
-def first_hits(scene: Any, rays: CameraRays) -> Hits:
-    """Trace one ray per pixel; no material, light or mesh attribute is read."""
+def first_hits(scene: Any, rays: CameraRays, in_rows: slice = slice(None)) -> Hits:
+    """Trace one ray per pixel, of all rows or of some; no material, light or mesh attribute is read."""
     mi, dr = mitsuba_modules()
-    across, down = -(-rays.width // _TILE), -(-rays.height // _TILE)
+    top, bottom, _ = in_rows.indices(rays.height)
+    height = bottom - top
+    across, down = -(-rays.width // _TILE), -(-height // _TILE)
     lane = dr.arange(mi.UInt32, across * down * _TILE**2)
     tile, in_tile = lane // _TILE**2, lane % _TILE**2
     # The sizes are kernel data, so that another image size compiles nothing.
-    columns, rows, tiles = (device_uint(n) for n in (rays.width, rays.height, across))
+    columns, rows, tiles, first = (device_uint(n) for n in (rays.width, height, across, top))
     tile_row = tile // tiles
     # Tiles that reach over the border repeat its last pixels.
     row = dr.minimum(tile_row * _TILE + in_tile // _TILE, rows - 1)
     column = dr.minimum((tile - tile_row * tiles) * _TILE + in_tile % _TILE, columns - 1)
-    origin, direction = rays.centre_rays(column, row, mi.Float(0.5), mi.Float(0.5))
+    origin, direction = rays.centre_rays(column, row + first, mi.Float(0.5), mi.Float(0.5))
     hit = scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
     is_hit = hit.is_valid()
-    shape = (rays.height, rays.width)
+    shape = (height, rays.width)
     distance, face = (dr.empty(kind, shape[0] * shape[1]) for kind in (mi.Float, mi.Int32))
     dr.scatter(distance, dr.select(is_hit, hit.t, dr.inf), row * columns + column)
     dr.scatter(face, dr.select(is_hit, mi.Int32(hit.prim_index), -1), row * columns + column)
     dr.eval(distance, face)
     # Copies: frames can outlive the kernel's memory, or be read by another thread.
     metres = np.array(distance).reshape(shape) * np.float32(rays.unit_m)
-    return Hits(np.asarray(face).reshape(shape).astype(np.int64), metres)
+    return Hits(np.asarray(face).reshape(shape).astype(np.int64), metres, top)
 
 
 def label_outputs(
@@ -178,34 +186,34 @@ def normals(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
     image = np.moveaxis(np.stack([np.take(axis, index) for axis in table]), 0, -1)
     if camera.rows_move:
         # A row can see another side of a triangle than the row before.
-        away = np.sum(image * world_directions(camera), axis=-1) > 0.0
+        away = np.sum(image * world_directions(camera, hits.rows), axis=-1) > 0.0
         image[away] *= np.float32(-1.0)
     return image
 
 
 def depth_z(hits: Hits, camera: Camera) -> NDArray[np.float32]:
     """`(h, w)` metres along the optical axis that each ray's camera has; inf in the background."""
-    return (hits.distance * camera.pixel_directions()[..., 2]).astype(np.float32)
+    return (hits.distance * camera.pixel_directions(hits.rows)[..., 2]).astype(np.float32)
 
 
 def positions(hits: Hits, camera: Camera) -> NDArray[np.float64]:
     """`(h, w, 3)` hit points in world coordinates, metres; inf in the background."""
     is_hit = hits.face >= 0
     # Infinity times 0 would be NaN.
-    centre = centres(camera)
-    points = np.where(is_hit, hits.distance, 0.0)[..., None] * world_directions(camera) + centre
+    centre = centres(camera, hits.rows)
+    points = np.where(is_hit, hits.distance, 0.0)[..., None] * world_directions(camera, hits.rows) + centre
     points[~is_hit] = np.inf
     return points
 
 
-def world_directions(camera: Camera) -> NDArray[np.float64]:
-    """`(h, w, 3)` unit world directions of the rays through the pixels' centres."""
-    x, y, z = np.moveaxis(camera.pixel_directions(), -1, 0)
+def world_directions(camera: Camera, rows: slice) -> NDArray[np.float64]:
+    """`(h, w, 3)` unit world directions of the rays through the pixels' centres of some rows."""
+    x, y, z = np.moveaxis(camera.pixel_directions(rows), -1, 0)
     directions = np.empty((3, *x.shape))
     rotation = camera.pose[:3, :3]
     if camera.rows_move:
         # One rotation for each row, `(3, 3, h, 1)`.
-        poses = camera.label_poses(np.arange(camera.height) + 0.5)
+        poses = camera.label_poses(np.arange(camera.height)[rows] + 0.5)
         rotation = np.moveaxis(poses[:, :3, :3], 0, -1)[..., None]
     # Axis by axis: BLAS splits such products between threads, and its last bits depend on their number.
     for axis, (along_x, along_y, along_z) in enumerate(rotation):
@@ -213,11 +221,11 @@ def world_directions(camera: Camera) -> NDArray[np.float64]:
     return np.moveaxis(directions, 0, -1)
 
 
-def centres(camera: Camera) -> NDArray[np.float64]:
-    """Projection centres of the rays through the pixels' centres, world metres: `(3,)`, or `(h, 1, 3)`."""
+def centres(camera: Camera, rows: slice) -> NDArray[np.float64]:
+    """Projection centres of the rays through pixels of some rows, world metres: `(3,)`, or `(h, 1, 3)`."""
     if not camera.rows_move:
         return camera.pose[:3, 3]
-    return camera.label_centres(np.arange(camera.height) + 0.5)[:, None]
+    return camera.label_centres(np.arange(camera.height)[rows] + 0.5)[:, None]
 
 
 def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
@@ -232,7 +240,7 @@ def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.fl
 class SurfacePoints:
     """Where the rays of some pixels meet their triangles."""
 
-    pixels: NDArray[np.intp]  # `(n,)` index of each pixel in the image, row by row
+    pixels: NDArray[np.intp]  # `(n,)` index of each pixel in the rows of the hits, row by row
     face: NDArray[np.int64]  # `(n,)` index of the triangle hit
     corners: NDArray[np.uint32]  # `(n, 3)` its vertices
     u: NDArray[np.float64]  # `(n,)` weight of the second corner
@@ -258,15 +266,15 @@ def surface_points(
         mesh: of the hits.
         hits: of the image.
         camera: of the image.
-        pixels: `(n,)` their indices in the image, row by row.
+        pixels: `(n,)` their indices in the rows of the hits, row by row.
 
     Method: T. Moeller and B. Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics
     Tools 2 (1997) 21.
     """
     if not pixels.size:
         return
-    face, rays = hits.face.ravel(), world_directions(camera).reshape(-1, 3)
-    centre = centres(camera)
+    face, rays = hits.face.ravel(), world_directions(camera, hits.rows).reshape(-1, 3)
+    centre = centres(camera, hits.rows)
     of_pixels = np.broadcast_to(centre, (*hits.face.shape, 3)).reshape(-1, 3) if centre.ndim > 1 else None
     for start in range(0, pixels.size, _UV_PIXELS):
         part = pixels[start : start + _UV_PIXELS]

@@ -48,7 +48,7 @@ class SceneTraits:
         self._variant = np.array([item.variant for item in appearances], np.int64)
 
     def images(self, hits: Hits, camera: Camera, names: Collection[str]) -> dict[str, NDArray[np.float32]]:
-        """`(h, w)` maps of some of the `TRAIT_OUTPUTS`, behind the pixels' centres.
+        """`(h, w)` maps of some of the `TRAIT_OUTPUTS`, behind the pixels' centres, in the rows of the hits.
 
         Args:
             hits: of the camera's labels.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Motion, Sensor
+from pepperscene.camera.row_strips import row_strips
 from pepperscene.camera.shutter import RowWindows
 from pepperscene.render.kernel.arrays import (
     WORLD,
@@ -170,7 +171,7 @@ def camera_rays(
     """
     mi, dr = mitsuba_modules()
     if slopes is None:
-        slopes = device_array(camera.ray_slopes())
+        slopes = device_array(_single_slopes(camera))
     rotation = mi.Matrix3f(np.asarray(camera.pose[:3, :3], np.float32))
     origin = mi.Point3f(*(float(x) for x in coordinates.from_world(camera.pose[:3, 3])))
     dr.make_opaque(rotation, origin)
@@ -195,6 +196,15 @@ def camera_rays(
     )
     dr.make_opaque(focus_distance, aperture_radius)
     return replace(rays, focus_distance=focus_distance, aperture_radius=aperture_radius)
+
+
+def _single_slopes(camera: Camera) -> NDArray[np.float32]:
+    """The `ray_slopes` in single precision, converted strip by strip."""
+    corners = 2 if camera.sensor.line_scan else camera.height + 1
+    slopes = np.empty((corners, camera.width + 1, 2), np.float32)
+    for rows in row_strips(camera.width + 1, corners):
+        slopes[rows] = camera.ray_slopes(rows)
+    return slopes
 
 
 def moving_rays(rays: CameraRays, motion: Motion, windows: RowWindows) -> CameraRays:

@@ -47,6 +47,16 @@ class TracedLight:
 
 
 @dataclass(frozen=True, eq=False)
+class GuidedLight:
+    """The light of some rows of an image as the denoiser needs it; attributes as of `TracedLight`."""
+
+    indirect: Images
+    albedo: Images
+    normal: Images
+    coverage: Images
+
+
+@dataclass(frozen=True, eq=False)
 class SampleVariance:
     """Variance between the samples of each pixel, in units of `white`, summed over the channels.
 

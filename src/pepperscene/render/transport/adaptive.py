@@ -15,7 +15,7 @@ that the next pixel shows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -56,11 +56,20 @@ class AdaptiveSampler:
         target: error over noise, root mean square in codes; None for a fixed number of samples.
         max_samples: per pixel.
         denoised: whether indirect light will be denoised.
+        rows: of the image, the only ones whose error is compared with the noise; all by default.
     """
 
-    def __init__(self, camera: Camera, target: float | None, max_samples: int, *, denoised: bool) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        target: float | None,
+        max_samples: int,
+        *,
+        denoised: bool,
+        rows: slice = slice(None),
+    ) -> None:
         self.camera, self.target, self.max_samples = camera, target, max_samples
-        self._denoised = denoised
+        self._denoised, self._rows = denoised, rows
         self._codes: CodeResponse | None = None
 
     def required(self, accumulator: SampleAccumulator) -> NDArray[np.int32]:
@@ -88,25 +97,24 @@ class AdaptiveSampler:
 
     def metadata(self, light: TracedLight) -> dict[str, Any]:
         """Describe the samples of a finished frame and their error, for its JSON file."""
+        return sampling_metadata([self.error(light)], self.target)
+
+    def error(self, light: TracedLight) -> SamplingError:
+        """Estimate the error that remains in the rows."""
         variance, codes = light.variance, self._code_response(light.total, light.variance.white)
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
         factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
         of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
-        rms_error, rms_noise = (float(np.sqrt(part.mean())) for part in (error, noise))
-        # Both are 0 in an overexposed image.
-        ratio = rms_error / rms_noise if rms_noise > 0.0 else 0.0
-        return {
-            "target": self.target,
-            "samples_per_pixel": float(variance.samples.mean()),
-            "soft_samples_per_pixel": variance.indirect_samples,
-            "error_codes": rms_error,
-            "noise_codes": rms_noise,
-            "error_to_noise": ratio,
-            "target_met": None if self.target is None else is_target_met(ratio, self.target),
-            "below_half_of_noise": float((error <= 0.25 * noise).mean()),
-        }
+        return SamplingError(
+            pixels=error.size,
+            samples=float(variance.samples.mean()),
+            indirect_samples=variance.indirect_samples,
+            squared_error=error.mean(),
+            squared_noise=noise.mean(),
+            below_half_of_noise=float((error <= 0.25 * noise).mean()),
+        )
 
     def _indirect_factor(self, share: float) -> float:
         """Fraction of the variance of indirect light that remains; `share` is its part of all light."""
@@ -114,7 +122,7 @@ class AdaptiveSampler:
 
     def _code_response(self, signal: Callable[[], Floats], white: NDArray[np.float64]) -> CodeResponse:
         if self._codes is None:
-            self._codes = code_response(signal(), white, self.camera)
+            self._codes = code_response(signal(), white, self.camera, self._rows)
         return self._codes
 
     def _distribute(self, variance: Floats, allowed: float) -> NDArray[np.float32]:
@@ -124,6 +132,45 @@ class AdaptiveSampler:
         scale = _variance_scale(subset, allowed, self.max_samples)
         samples = np.power(np.maximum(scale * variance, 1e-9), 0.4)
         return np.exp2(np.rint(np.log2(np.clip(samples, 1.0, self.max_samples))))
+
+
+@dataclass(frozen=True)
+class SamplingError:
+    """Samples of some pixels of an image, and means over these pixels; in squared codes where squared."""
+
+    pixels: int
+    samples: float
+    indirect_samples: int
+    squared_error: np.float32
+    squared_noise: np.float32
+    below_half_of_noise: float
+
+
+def sampling_metadata(parts: Sequence[SamplingError], target: float | None) -> dict[str, Any]:
+    """Describe the samples of an image and their error for its JSON file, from those of its parts."""
+    rms_error, rms_noise = (
+        float(np.sqrt(np.float32(_mean_over_pixels(parts, name))))
+        for name in ("squared_error", "squared_noise")
+    )
+    # Both are 0 in an overexposed image.
+    ratio = rms_error / rms_noise if rms_noise > 0.0 else 0.0
+    return {
+        "target": target,
+        "samples_per_pixel": _mean_over_pixels(parts, "samples"),
+        "soft_samples_per_pixel": parts[0].indirect_samples,
+        "error_codes": rms_error,
+        "noise_codes": rms_noise,
+        "error_to_noise": ratio,
+        "target_met": None if target is None else is_target_met(ratio, target),
+        "below_half_of_noise": _mean_over_pixels(parts, "below_half_of_noise"),
+    }
+
+
+def _mean_over_pixels(parts: Sequence[SamplingError], name: str) -> float:
+    """The mean of a value over the pixels of all parts; exactly that of a single part."""
+    first = float(getattr(parts[0], name))
+    pixels = sum(part.pixels for part in parts)
+    return first + sum((float(getattr(part, name)) - first) * (part.pixels / pixels) for part in parts)
 
 
 def balanced_share(direct_samples: float, indirect_samples: int) -> float:
@@ -175,23 +222,27 @@ class CodeResponse:
         return np.square(np.minimum(self.per_white * np.sqrt(variance), np.float32(limit)))
 
 
-def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) -> CodeResponse:
-    """Compute how noise and light appear in a camera's image.
+def code_response(
+    signal: Floats, white: NDArray[np.float64], camera: Camera, rows: slice = slice(None)
+) -> CodeResponse:
+    """Compute how noise and light appear in a camera's image, or in some `rows` of it.
 
     Args:
-        signal: `(h, w, c)` light, electrons s-1 m-2 sr-1.
+        signal: `(h, w, c)` light of these rows, electrons s-1 m-2 sr-1.
         white: `(c,)` see `SampleVariance`.
         camera: with the sensor's noise and the developing from light to codes.
+        rows: of the image; all by default.
     """
-    electrons = electrons_per_light(camera).astype(np.float32)[..., None]
+    height, width, channels = signal.shape
+    electrons = electrons_per_light(camera, rows).astype(np.float32)[..., None]
     matrix = None if camera.sensor.pattern == "bands" else _colour_matrix(camera)
     # By whole rows, so that intermediate results of a large image take little memory.
-    noise, per_white = (np.empty((camera.height, camera.width), np.float32) for _ in range(2))
+    noise, per_white = (np.empty((height, width), np.float32) for _ in range(2))
     # As much memory for any number of bands.
-    step = max(_ROWS_PIXELS // (camera.width * max(camera.sensor.channels // 3, 1)), 1)
-    for top in range(0, camera.height, step):
-        rows = slice(top, top + step)
-        noise[rows], per_white[rows] = _rows_response(signal[rows], electrons[rows], white, matrix, camera)
+    step = max(_ROWS_PIXELS // (width * max(channels // 3, 1)), 1)
+    for top in range(0, height, step):
+        part = slice(top, top + step)
+        noise[part], per_white[part] = _rows_response(signal[part], electrons[part], white, matrix, camera)
     return CodeResponse(noise, per_white)
 
 

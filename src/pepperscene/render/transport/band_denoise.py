@@ -10,7 +10,7 @@ tiles.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
@@ -31,27 +31,49 @@ image decide between them."""
 _MIN_GAIN, _MAX_GAIN = 0.5, 2.0  # as of `denoise`
 
 
-def denoise_bands(traced: Image, denoise: Callable[[Image], Image]) -> Image:
+def denoise_bands(
+    traced: Image, denoise: Callable[[Image, int], Image], levels: Array | None = None
+) -> Image:
     """`(h, w, c)` denoised light of c bands.
 
     Args:
         traced: `(h, w, c)` light about 1.
-        denoise: filters `(h, w, 3)` such light.
+        denoise: filters one of the `broad_images`; the second argument is its number.
+        levels: `(c,)` see `band_levels`; None for those of `traced`.
+    """
+    c = traced.shape[-1]
+    images = broad_images(traced, band_levels(traced) if levels is None else levels)
+    if c <= _MOST_FILTERED:
+        return np.concatenate([denoise(part, number) for number, part in enumerate(images)], axis=-1)[..., :c]
+    (broad,) = images
+    filtered = denoise(broad, 0)
+    factors = _factors(traced, broad, filtered)
+    return _combine(filtered, factors.astype(np.float32))
+
+
+def band_levels(traced: Image) -> Array:
+    """`(c,)` mean light of each band."""
+    return np.asarray(traced.mean(axis=(0, 1), dtype=np.float64))
+
+
+def broad_images(traced: Image, levels: Array) -> Iterator[Image]:
+    """Yield the images `(h, w, 3)` that are filtered: three bands each, or three means over all bands.
+
+    Args:
+        traced: `(h, w, c)` light about 1.
+        levels: `(c,)` by which bands are divided in means.
     """
     c = traced.shape[-1]
     if c <= _MOST_FILTERED:
         # Padded with the first bands.
         bands = np.arange(-(-c // BROAD) * BROAD) % c
-        parts = [denoise(np.ascontiguousarray(traced[..., part])) for part in bands.reshape(-1, BROAD)]
-        return np.concatenate(parts, axis=-1)[..., :c]
+        for part in bands.reshape(-1, BROAD):
+            yield np.ascontiguousarray(traced[..., part])
+        return
     # Bands of the same weight, however many electrons they have.
-    levels = traced.mean(axis=(0, 1), dtype=np.float64)
     scale = np.divide(1.0, levels, out=np.zeros(c), where=levels > 0.0).astype(np.float32)
     groups = np.array_split(np.arange(c), BROAD)
-    broad = np.stack([np.einsum("hwb,b->hw", traced[..., g], scale[g] / len(g)) for g in groups], axis=-1)
-    filtered = denoise(broad)
-    factors = _factors(traced, broad, filtered)
-    return _combine(filtered, factors.astype(np.float32))
+    yield np.stack([np.einsum("hwb,b->hw", traced[..., g], scale[g] / len(g)) for g in groups], axis=-1)
 
 
 def _factors(traced: Image, broad: Image, filtered: Image) -> Array:

@@ -57,6 +57,7 @@ class BandLight:
 
     Attributes:
         tables: of the frame, in the broad channels.
+        seed: of the samples.
     """
 
     def __init__(
@@ -77,22 +78,25 @@ class BandLight:
             has_flash=self.tables.flash is not None,
             direct_sun=self.tables.sun_optics is not None,
         )
-        self._paths, self._seed = PathTracer(self.tables, self.bands, lengths), seed
+        self._paths, self.seed = PathTracer(self.tables, self.bands, lengths), seed
         self._lanes = max(min(_LANES, _VALUES // len(self.bands.batches) // BATCH), 1)
 
-    def accumulator(self) -> SampleAccumulator:
-        """An accumulator of this light, without samples."""
-        rays = self.tables.rays
-        return SampleAccumulator(rays.height, rays.width, self.bands.white, BROAD)
+    def accumulator(self, height: int) -> SampleAccumulator:
+        """An accumulator of this light in some rows, without samples."""
+        return SampleAccumulator(height, self.tables.rays.width, self.bands.white, BROAD)
 
-    def sum_direct(self, pixels: NDArray[np.int64] | None, first: int, count: int) -> SampleSums:
-        """Sums of direct light over samples from the first on, in some pixels or all."""
-        sums = sum_samples(self.tables, pixels, first, count, self._seed, self._direct_light, self._lanes)
+    def sum_direct(
+        self, pixels: NDArray[np.int64] | None, first: int, count: int, within: tuple[int, int] | None = None
+    ) -> SampleSums:
+        """Sums of direct light over samples from the first on; pixels as of `sum_samples`."""
+        integrand, lanes = self._direct_light, self._lanes
+        sums = sum_samples(self.tables, pixels, first, count, self.seed, integrand, lanes, within)
         return self._ordered(sums)[0]
 
-    def sum_all(self, count: int) -> SampleSums:
-        """Sums of all light over the first samples of all pixels."""
-        sums = sum_samples(self.tables, None, 0, count, self._seed, self._all_light, self._lanes)
+    def sum_all(self, count: int, within: tuple[int, int] | None = None) -> SampleSums:
+        """Sums of all light over the first samples of all pixels, or of those within limits."""
+        integrand, lanes = self._all_light, self._lanes
+        sums = sum_samples(self.tables, None, 0, count, self.seed, integrand, lanes, within)
         direct, indirect = self._ordered(sums)
         return [*direct, *indirect]
 

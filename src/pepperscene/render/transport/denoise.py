@@ -42,8 +42,8 @@ image falls by 1 % only.
 
 from __future__ import annotations
 
-import functools
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -53,8 +53,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.transport.accumulate import TracedLight, indirect_share
-from pepperscene.render.transport.band_denoise import denoise_bands
+from pepperscene.render.transport.accumulate import GuidedLight, TracedLight, indirect_share
+from pepperscene.render.transport.band_denoise import band_levels, broad_images, denoise_bands
 
 Image = NDArray[np.float32]
 
@@ -69,6 +69,9 @@ _NEIGHBOURHOOD: Final = 97
 back; from 65 to 193 the error is the same within 1 %."""
 _CLEAN_FROM: Final = 0.2
 """Chosen: share of indirect light, in electrons, from which guides count as free of noise."""
+_AREA: Final = 16  # pixels; as in the filter itself
+_DARK: Final = 1e-8  # areas without light have no logarithm; as in the filter itself
+_MIDDLE_GREY: Final = 0.18  # as in the filter itself
 _MIN_GAIN, _MAX_GAIN = 0.5, 2.0
 """Chosen: a neighbourhood that differs more holds a single bright path, or nothing."""
 
@@ -102,32 +105,79 @@ def denoised(light: TracedLight) -> Image:
     return light.flash + light.sky_and_sun + denoised_indirect(light)
 
 
+@dataclass(frozen=True, eq=False)
+class FilterSetting:
+    """What the filter takes from the whole image.
+
+    Attributes:
+        level: mean indirect light, electrons s-1 m-2 sr-1; the filter gets the light over it.
+        clean_guides: whether guides count as free of noise.
+        exposures: factors by which the filter brings its input to the brightness that it was trained for, one
+            for each image of three channels that is filtered; none let it choose.
+        band_levels: `(c,)` mean light of each band about 1; None for that of the light that is filtered.
+    """
+
+    level: float
+    clean_guides: bool
+    exposures: tuple[float, ...] = ()
+    band_levels: NDArray[np.float64] | None = None
+
+
 def denoised_indirect(light: TracedLight) -> Image:
     """The indirect light, denoised with albedo and normal as guides."""
     level = float(light.indirect.mean(dtype=np.float64))
     if level <= 0.0:
         return light.indirect
-    if light.indirect.shape[-1] != light.albedo.shape[-1]:
-        # Bands, with an albedo in broad channels.
-        traced = np.asarray(light.indirect / level, np.float32)
-        return denoise_bands(traced, functools.partial(_denoise, light)) * np.float32(level)
-    return _denoise(light, np.asarray(light.indirect / level, np.float32)) * np.float32(level)
+    share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
+    return filtered_indirect(light, FilterSetting(level, clean_guides=share > _CLEAN_FROM))
 
 
-def _denoise(light: TracedLight, traced: Image) -> Image:
-    """Denoise an image of indirect light about 1, with the guides of a frame."""
+def setting_of_part(light: TracedLight) -> FilterSetting:
+    """The setting of an image, from the light of some of its rows."""
+    level = float(light.indirect.mean(dtype=np.float64))
+    if level <= 0.0:
+        return FilterSetting(level, clean_guides=False)
+    share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
+    traced, levels = np.asarray(light.indirect / level, np.float32), None
+    images: Iterable[Image] = [traced]
+    if _has_bands(light):
+        levels = band_levels(traced)
+        images = broad_images(traced, levels)
+    exposures = tuple(_exposure(image) for image in images)
+    return FilterSetting(level, share > _CLEAN_FROM, exposures, levels)
+
+
+def _exposure(image: Image) -> float:
+    """As the filter computes it: from the geometric mean of the brightness of small areas."""
+    luminance = image.mean(axis=-1)
+    areas = np.add.reduceat(luminance, np.arange(0, luminance.shape[1], _AREA), axis=1) / _AREA
+    areas = areas[areas > _DARK]
+    return _MIDDLE_GREY / float(np.exp(np.log(areas).mean())) if areas.size else 1.0
+
+
+def _has_bands(light: GuidedLight | TracedLight) -> bool:
+    """Whether the light is that of bands, with an albedo in broad channels."""
+    return light.indirect.shape[-1] != light.albedo.shape[-1]
+
+
+def filtered_indirect(light: GuidedLight | TracedLight, setting: FilterSetting) -> Image:
+    """The indirect light of an image or of a part of one, denoised with albedo and normal as guides."""
     # Guides and indirect light may come from different samples, so their coverage may differ.
     fractions = light.coverage[..., :1], light.coverage[..., 1:]
     of_guides = _Coverage.of(fractions[0])
     of_light = of_guides if np.array_equal(*fractions) else _Coverage.of(fractions[1])
+    albedo, normal = np.clip(of_guides.extend(light.albedo), 0.0, 1.0), of_guides.extend(light.normal)
+
+    def denoise(image: Image, number: int) -> Image:
+        filtered = _apply_filter(of_light.extend(image), albedo, normal, setting, number)
+        filtered *= of_guides.fraction
+        return _restore_local_mean(filtered, image)
+
     # The filter and its albedo expect values about 1.
-    albedo = np.clip(of_guides.extend(light.albedo), 0.0, 1.0)
-    share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
-    filtered = _apply_filter(
-        of_light.extend(traced), albedo, of_guides.extend(light.normal), clean_guides=share > _CLEAN_FROM
-    )
-    filtered *= of_guides.fraction
-    return _restore_local_mean(filtered, traced)
+    traced = np.asarray(light.indirect / setting.level, np.float32)
+    has_bands = _has_bands(light)
+    result = denoise_bands(traced, denoise, setting.band_levels) if has_bands else denoise(traced, 0)
+    return result * np.float32(setting.level)
 
 
 def _restore_local_mean(filtered: Image, traced: Image) -> Image:
@@ -177,13 +227,44 @@ class _Coverage:
         return per_area
 
 
-def _apply_filter(image: Image, albedo: Image, normal: Image, *, clean_guides: bool) -> Image:
-    """Apply the "RT" filter of Open Image Denoise, which takes three channels; a single one is repeated."""
+def _apply_filter(image: Image, albedo: Image, normal: Image, setting: FilterSetting, number: int) -> Image:
+    """Apply the "RT" filter of Open Image Denoise, which takes three channels; a single one is repeated.
+
+    `number` is that of the exposure.
+    """
     h, w, c = image.shape
-    images = (_pad_image(part) for part in (image, albedo, normal))
-    result = open_image_denoise().denoise(*images, hdr=True, clean_aux=clean_guides)
+    images = tuple(_pad_image(part) for part in (image, albedo, normal))
+    if not setting.exposures:
+        result = open_image_denoise().denoise(*images, hdr=True, clean_aux=setting.clean_guides)
+    else:
+        result = _exposed_filter(images, setting.clean_guides, setting.exposures[number])
     inner = np.asarray(result, np.float32)[_PADDING : _PADDING + h, _PADDING : _PADDING + w]
     return np.maximum(inner if c == 3 else inner.mean(axis=-1, keepdims=True), np.float32(0.0))
+
+
+def _exposed_filter(images: tuple[Image, ...], clean_guides: bool, exposure: float) -> Image:
+    """Apply the filter to light, albedo and normals with a given exposure, which `denoise` does not take."""
+    oidn, result = open_image_denoise(), np.empty_like(images[0])
+    device = _filter_device()
+    image_filter = oidn.Filter(device, "RT")
+    for name, image in zip(("color", "albedo", "normal", "output"), (*images, result), strict=True):
+        image_filter.set_image(name, image, oidn.OIDN_FORMAT_FLOAT3)
+    image_filter.set_bool("hdr", True)
+    image_filter.set_bool("cleanAux", clean_guides)
+    image_filter.set_float("inputScale", exposure)
+    image_filter.commit()
+    image_filter.execute()
+    image_filter.release()
+    if problem := device.get_error():
+        raise RuntimeError(f"Open Image Denoise failed: {problem}")
+    return result
+
+
+@cache
+def _filter_device() -> Any:
+    device = open_image_denoise().Device()
+    device.commit()
+    return device
 
 
 def _pad_image(image: Image) -> Image:

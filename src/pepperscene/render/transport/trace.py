@@ -71,20 +71,41 @@ def trace(
     seed: int,
 ) -> TracedLight:
     """Trace the light that reaches each pixel of a camera in a scene with materials over its response."""
-    light: ChannelLight | BandLight
+    return trace_rows(frame_light(scene, rays, response, flash, sky, sampling.lengths, seed), sampling)
+
+
+def frame_light(
+    scene: LightScene,
+    rays: CameraRays,
+    response: SpectralResponse,
+    flash: Flash | None,
+    sky: SkyTables | None,
+    lengths: tuple[int, int],
+    seed: int,
+) -> FrameLight:
+    """What `trace_rows` traces: the light of samples in the channels, or in the bands, of a sensor."""
     if response.by_band:
-        light = BandLight(scene, rays, response, flash, sky, sampling.lengths, seed)
-    else:
-        light = ChannelLight(frame_tables(scene, rays, response, flash, sky), sampling.lengths, seed)
-    accumulator = light.accumulator()
+        return BandLight(scene, rays, response, flash, sky, lengths, seed)
+    return ChannelLight(frame_tables(scene, rays, response, flash, sky), lengths, seed)
+
+
+def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None)) -> TracedLight:
+    """Trace the light that reaches the pixels of some rows, with the samples that `trace` takes there.
+
+    `Sampling.required` sees these rows alone.
+    """
+    width = light.tables.rays.width
+    top, bottom, _ = rows.indices(light.tables.rays.height)
+    within = (top * width, bottom * width)
+    accumulator = light.accumulator(bottom - top)
     first = 0
     # One traversal for all light, then the samples without indirect light.
     if light.tables.has_lights:
         first = min(sampling.indirect, sampling.samples)
-        accumulator.add_all(light.sum_all(first), first)
+        accumulator.add_all(light.sum_all(first, within), first)
     if sampling.samples > first:
         remaining = sampling.samples - first
-        accumulator.add_direct(light.sum_direct(None, first, remaining), remaining)
+        accumulator.add_direct(light.sum_direct(None, first, remaining, within), remaining)
 
     if not light.tables.has_lights or sampling.required is None:
         return accumulator.light()
@@ -93,7 +114,8 @@ def trace(
     for _ in range(_REFINEMENT_ROUNDS):
         refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
         for begin, end, pixels in refinements:
-            accumulator.add_direct(light.sum_direct(pixels, begin, end - begin), end - begin, pixels)
+            sums = light.sum_direct(pixels + within[0], begin, end - begin)
+            accumulator.add_direct(sums, end - begin, pixels)
         if not refinements:
             break
     return accumulator.light()
@@ -121,18 +143,23 @@ class ChannelLight:
     lengths: tuple[int, int]
     seed: int
 
-    def accumulator(self) -> SampleAccumulator:
-        """An accumulator of this light, without samples."""
-        return SampleAccumulator(self.tables.rays.height, self.tables.rays.width, self.tables.white)
+    def accumulator(self, height: int) -> SampleAccumulator:
+        """An accumulator of this light in some rows, without samples."""
+        return SampleAccumulator(height, self.tables.rays.width, self.tables.white)
 
-    def sum_direct(self, pixels: NDArray[np.int64] | None, first: int, count: int) -> SampleSums:
-        """Sums of direct light over samples from the first on, in some pixels or all."""
-        return sum_samples(self.tables, pixels, first, count, self.seed, _direct_light)
+    def sum_direct(
+        self, pixels: NDArray[np.int64] | None, first: int, count: int, within: tuple[int, int] | None = None
+    ) -> SampleSums:
+        """Sums of direct light over samples from the first on; pixels as of `sum_samples`."""
+        return sum_samples(self.tables, pixels, first, count, self.seed, _direct_light, within=within)
 
-    def sum_all(self, count: int) -> SampleSums:
-        """Sums of all light over the first samples of all pixels."""
+    def sum_all(self, count: int, within: tuple[int, int] | None = None) -> SampleSums:
+        """Sums of all light over the first samples of all pixels, or of those within limits."""
         all_light = functools.partial(_all_light, lengths=self.lengths)
-        return sum_samples(self.tables, None, 0, count, self.seed, all_light)
+        return sum_samples(self.tables, None, 0, count, self.seed, all_light, within=within)
+
+
+FrameLight = ChannelLight | BandLight
 
 
 def _direct_light(tables: FrameTables, samples: Samples) -> list[list[Any]]:

@@ -35,23 +35,27 @@ def sum_samples(
     seed: int,
     integrand: Integrand,
     lanes: int | None = None,
+    within: tuple[int, int] | None = None,
 ) -> list[Images]:
     """Sum an integrand's k values over samples `first` to `first + count - 1` of n pixels: k times `(n,)`.
 
-    `pixels` are row-major indices, or None for all; `lanes` is the largest wavefront.
+    `pixels` are row-major indices, or None for all or those `within` limits; `lanes` is the largest
+    wavefront.
     """
-    total = tables.rays.width * tables.rays.height if pixels is None else len(pixels)
+    start, end = within or (0, tables.rays.width * tables.rays.height)
+    if pixels is not None:
+        start, end = 0, len(pixels)
     block = max((lanes or _LANES) // count, 1)
-    if total <= block:
-        return _sum_pass(tables, pixels, (0, total), first, count, seed, integrand)
+    if end - start <= block:
+        return _sum_pass(tables, pixels, (start, end), first, count, seed, integrand)
     # Copied pass by pass, so that the device holds the sums of one pass and not those of the whole image.
     sums: list[Images] = []
-    for start in range(0, total, block):
-        end = min(start + block, total)
-        parts = _sum_pass(tables, pixels, (start, end), first, count, seed, integrand)
-        sums = sums or [np.empty(total, np.float32) for _ in parts]
+    for low in range(start, end, block):
+        high = min(low + block, end)
+        parts = _sum_pass(tables, pixels, (low, high), first, count, seed, integrand)
+        sums = sums or [np.empty(end - start, np.float32) for _ in parts]
         for whole, part in zip(sums, parts, strict=True):
-            whole[start:end] = part
+            whole[low - start : high - start] = part
     return sums
 
 

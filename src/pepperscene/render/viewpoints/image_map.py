@@ -58,10 +58,9 @@ class ImageMap:
 
 def image_map(camera: Camera) -> ImageMap:
     """The table of a camera; its pose and motion do not matter."""
-    slopes = camera.ray_slopes().reshape(-1, 2)
-    size = np.ptp(slopes, axis=0)
-    low = slopes.min(axis=0) - _MARGIN * size
-    high = slopes.max(axis=0) + _MARGIN * size
+    lowest, highest = camera.slope_limits()
+    size = highest - lowest
+    low, high = lowest - _MARGIN * size, highest + _MARGIN * size
     x, y = (np.linspace(low[axis], high[axis], _NODES) for axis in (0, 1))
     points = np.stack([*np.meshgrid(x, y), np.ones((_NODES, _NODES))], axis=-1)
     still = replace(camera, pose=np.eye(4), motion=None)

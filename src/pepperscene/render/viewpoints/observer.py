@@ -141,11 +141,11 @@ def fruit_in_view(camera: Camera, poses: FloatArray, samples: FruitSamples) -> t
     local = np.einsum("pfi,pij->pfj", samples.centres - position[:, None], turn)
     x, y, z = np.moveaxis(local, 2, 0)
     radii = samples.radii
-    slopes = camera.ray_slopes()
+    borders = np.concatenate(camera.border_slopes())
     inside = z > -radii
     # The image is between the extreme slopes of its borders.
     for along, axis in ((x, 0), (y, 1)):
-        border = np.concatenate([slopes[[0, -1], :, axis].ravel(), slopes[:, [0, -1], axis].ravel()])
+        border = borders[:, axis]
         for side, limit in ((1.0, border.max()), (-1.0, -border.min())):
             inside &= side * along - limit * z <= radii * np.hypot(1.0, limit)
     pose_index, fruit_index = np.nonzero(inside)

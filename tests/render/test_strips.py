@@ -1,0 +1,136 @@
+"""Large images are rendered in strips of rows: the same samples and labels, and no seams."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from greenhouse import camera, cloudy_sky, greenhouse, others
+
+from pepperscene.camera import Motion, row_strips
+from pepperscene.frame import OUTPUTS
+from pepperscene.render import QUALITIES, Quality, Renderer
+from pepperscene.render.transport import strips
+from pepperscene.render.transport.adaptive import SamplingError, sampling_metadata
+from pepperscene.scene import assemble_scene
+
+FIXED = Quality(samples=4, soft=2, most=4, bounces=2, target=None, denoise=False)
+LABELS = [name for name, output in OUTPUTS.items() if not output.traced and name != "harvest"]
+
+
+@pytest.fixture(scope="module")
+def plants():
+    """Two plants under a cloudy sky, in a renderer."""
+    first = greenhouse()
+    surfaces = dict(zip(first.mesh.surfaces, first.surfaces, strict=True))
+    return Renderer(assemble_scene(first.mesh, surfaces, cloudy_sky()))
+
+
+@pytest.fixture
+def in_strips(monkeypatch):
+    """Renders a frame in strips of some rows, with tiles of the denoiser as small as they can be."""
+
+    def render(rows, renderer, view, *arguments, **named):
+        with monkeypatch.context() as patch:
+            patch.setattr(row_strips, "LARGEST_WHOLE", 1)
+            patch.setattr(row_strips, "STRIP_PIXELS", rows * view.width)
+            patch.setattr(strips, "TILE_PIXELS", 1)
+            assert len(row_strips.row_strips(view.width, view.height)) == -(-view.height // rows)
+            return renderer.render(view, *arguments, **named)
+
+    return render
+
+
+def rolling(view):
+    """A camera with a rolling shutter that moves, whose flash lights some rows."""
+    sensor = replace(view.sensor, line_time_s=1e-4)
+    return replace(view, sensor=sensor, exposure_s=3e-3, motion=Motion((0.2, 0.0, 0.1)))
+
+
+@pytest.mark.parametrize("change", [lambda view: view, rolling], ids=["still", "moving"])
+def test_a_fixed_number_of_samples_gives_the_bits_of_the_whole_image(plants, in_strips, change):
+    view = change(camera(columns=64, rows=48))
+    whole = plants.render(view, ["electrons"], FIXED, 3)
+    parts = in_strips(10, plants, view, ["electrons"], FIXED, 3)
+    np.testing.assert_array_equal(parts["electrons"], whole["electrons"])
+    expected = whole.metadata["sampling"]
+    for name in ("samples_per_pixel", "soft_samples_per_pixel", "error_codes", "noise_codes"):
+        # The error of a pixel follows from its neighbours as well, which are in another strip at the borders.
+        assert parts.metadata["sampling"][name] == pytest.approx(expected[name], rel=0.03), name
+
+
+@pytest.mark.parametrize("change", [lambda view: view, rolling], ids=["still", "moving"])
+def test_labels_have_the_bits_of_the_whole_image(plants, in_strips, change):
+    view = change(camera(columns=64, rows=46))
+    whole = plants.render(view, LABELS, others=others())
+    parts = in_strips(10, plants, view, LABELS, others=others())
+    for name in LABELS:
+        if OUTPUTS[name].is_image:
+            np.testing.assert_array_equal(parts[name], whole[name], err_msg=name)
+        else:
+            assert parts[name] == whole[name]
+    assert parts.metadata["instances"] == whole.metadata["instances"]
+
+
+def test_denoised_strips_show_no_seams(plants, in_strips):
+    # Fixed samples: images of one seed differ by what the denoiser sees alone.
+    view, quality = camera(columns=320, rows=240), replace(FIXED, denoise=True)
+    whole = plants.render(view, ["electrons"], quality, 3)
+    other = plants.render(view, ["electrons"], quality, 4)
+    parts = in_strips(30, plants, view, ["electrons"], quality, 3)
+    per_code = view.sensor.full_well_e / 255.0
+    by_strips, by_seed = (
+        (parts["electrons"] - frame["electrons"]).mean(axis=-1) / per_code for frame in (whole, other)
+    )
+    assert np.sqrt(np.mean(np.square(by_strips))) < 0.02 * whole.metadata["sampling"]["error_codes"]
+    rows, columns = np.arange(30, 240, 30), _column_seams(view)
+    assert len(columns)
+    for axis, seams in enumerate((rows, columns)):
+        # The mean step from one row, or column, to the next.
+        steps = np.diff(by_strips, axis=axis).mean(axis=1 - axis)
+        assert np.abs(steps[seams - 1]).max() < 0.01
+        # Between independent images, steps are no larger at seams than elsewhere.
+        sizes = np.abs(np.diff(by_seed, axis=axis)).mean(axis=1 - axis)
+        for values in (np.diff(by_seed, axis=axis).mean(axis=1 - axis), sizes):
+            elsewhere = np.delete(values, seams - 1)
+            z = (values[seams - 1].mean() - elsewhere.mean()) / (elsewhere.std() / np.sqrt(len(seams)))
+            assert abs(z) < 4.0
+
+
+def _column_seams(view):
+    """Columns where tiles of the denoiser begin, if these are as narrow as they can be."""
+    count = 1
+    while view.width // count > 4 * strips.SURROUNDINGS:
+        count += 1
+    step = -(-view.width // count)
+    return np.arange(step, view.width, step)
+
+
+def test_each_strip_meets_the_target(plants, in_strips):
+    view, target = camera(columns=200, rows=152), QUALITIES["standard"].target
+    whole = plants.render(view, ["electrons"], "standard", 3)
+    parts = in_strips(40, plants, view, ["electrons"], "standard", 3)
+    described = [frame.metadata["sampling"] for frame in (whole, parts)]
+    assert [item["target"] for item in described] == [target, target]
+    assert described[1]["error_to_noise"] < 1.25 * max(target, described[0]["error_to_noise"])
+    # Samples follow the noise of a strip instead of that of the image.
+    ratio = described[1]["samples_per_pixel"] / described[0]["samples_per_pixel"]
+    assert 0.5 < ratio < 2.0
+    error, noise = (described[0][name] for name in ("error_codes", "noise_codes"))
+    scale = view.sensor.full_well_e / 255.0
+    difference = (parts["electrons"] - whole["electrons"]).mean(axis=-1) / scale
+    assert np.sqrt(np.mean(np.square(difference))) < 2.0 * error + 0.1 * noise
+
+
+def test_errors_of_parts_are_weighted_by_their_pixels():
+    one = SamplingError(100, 4.0, 2, np.float32(9.0), np.float32(4.0), 0.5)
+    other = SamplingError(300, 8.0, 2, np.float32(1.0), np.float32(8.0), 0.9)
+    both = sampling_metadata([one, other], 0.6)
+    assert both["samples_per_pixel"] == pytest.approx(7.0)
+    assert both["error_codes"] == pytest.approx(np.sqrt(3.0))
+    assert both["noise_codes"] == pytest.approx(np.sqrt(7.0))
+    assert both["error_to_noise"] == pytest.approx(np.sqrt(3.0 / 7.0))
+    assert both["below_half_of_noise"] == pytest.approx(0.8)
+    assert both["target_met"]
+    assert sampling_metadata([one], 0.6)["error_codes"] == 3.0
