@@ -85,10 +85,11 @@ _SURROUNDINGS, _TILE_PIXELS = 48, 1 << 19
 """Pixels around a tile of the denoiser, and in it, as in `pepperscene.render.transport.strips`."""
 _PER_RAY: Final = 100.0
 """Bytes per pixel of a strip: its rays in double precision, and what computing them takes; chosen."""
-_PER_STRAY: Final = 20.0
-"""Bytes per pixel of stray light in a large image: five planes in single precision."""
+_PER_STRAY: Final = 22.0
+"""Bytes per pixel of stray light in a large image: five planes in single precision; measured."""
 _PER_DEVELOPED: Final = 100.0
-"""Bytes per pixel of a strip that is developed: 25 values."""
+"""Bytes per pixel of a strip that is developed: 25 values; measured 70 to 120 with its photosites."""
+_FILES: Final = 1.0  # bytes of the encoded files of a large frame, at most, over those of its images
 _WHOLE_LABELS: Final = {"coverage": 55.0}
 """Bytes per pixel of a large image that one of these outputs takes, as it is not computed in strips."""
 
@@ -211,6 +212,7 @@ def _strips_memory(camera: Camera, outputs: Collection[str], quality: Quality, *
         stages.append(photographs + images + whole + (_LABELS + further + _PER_RAY) * strip)
         if "uv" in labels:
             stages[-1] += _PER_UV_PIXEL * min(strip, _UV_PIXELS)
+    stages.append((1.0 + _FILES) * sum(_image_size(name, camera) for name in outputs))
     return held + max(stages)
 
 
