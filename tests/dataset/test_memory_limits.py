@@ -91,11 +91,11 @@ def test_huge_images_are_refused_in_one_sentence(sensor_file, tmp_path, size, ou
     process = pepperscene(
         *("build", "demo", "--out", tmp_path / "set", "--frames", "0:2", "--outputs", outputs),
         *("--set", change, *workers),
-        **{MEMORY: "16 GB"},
+        **{MEMORY: "6 GB"},
     )
     assert is_refused(process), process.stderr
     assert f"{size[0]} x {size[1]} pixels" in process.stderr
-    assert "16.0 GB are allowed by PEPPERSCENE_MEMORY" in process.stderr
+    assert "6.0 GB are allowed by PEPPERSCENE_MEMORY" in process.stderr
     assert not (tmp_path / "set").exists()
 
 

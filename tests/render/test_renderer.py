@@ -16,6 +16,7 @@ from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.render import QUALITIES, Renderer, find_quality, kernel_scene, render_scene, renderer
 from pepperscene.render.aov import labels
 from pepperscene.render.reference.path_tracer import path_traced, samples_taken
+from pepperscene.render.transport import strips
 from pepperscene.scene import assemble_scene
 
 # Harvest needs the plants' skeleton, and bands another sensor.
@@ -212,8 +213,10 @@ def calls(monkeypatch):
 
         monkeypatch.setattr(module, name, recorded)
 
-    for name in ("light_scene", "truth_scene", "sky_tables", "trace", "denoised"):
+    for name in ("light_scene", "truth_scene", "sky_tables"):
         record(kernel_scene, name)
+    for name in ("trace_rows", "denoised"):
+        record(strips, name)
     record(renderer, "develop")
     for name in ("first_hits", "class_ids", "instance_ids", "normals", "depth_z"):
         record(labels, name)
@@ -245,13 +248,13 @@ def test_distance_computes_no_classes_and_normals(scene, calls):
 
 def test_colour_traces_no_rays_for_labels(scene, calls):
     result = Renderer(scene).render(camera(), ["colour"], "draft")
-    assert set(calls) == {"light_scene", "sky_tables", "trace", "denoised", "develop"}
+    assert set(calls) == {"light_scene", "sky_tables", "trace_rows", "denoised", "develop"}
     assert result.metadata["instances"] == {}
 
 
 def test_stereo_partner_alone_is_a_single_photograph(scene, calls):
     result = Renderer(scene).render(camera(), ["colour_stereo"], "draft", others=others())
-    assert calls == ["light_scene", "sky_tables", "trace", "denoised", "develop"]
+    assert calls == ["light_scene", "sky_tables", "trace_rows", "denoised", "develop"]
     assert set(result.metadata) >= {"sampling_stereo", "stereo_pose"}
     assert "sampling" not in result.metadata
 
@@ -292,7 +295,7 @@ def test_kernel_scene_is_built_once(scene, calls):
         reused.render(camera(step), DEFAULT_OUTPUTS, "draft")
     assert calls.count("light_scene") == 1
     assert calls.count("truth_scene") == 0
-    assert calls.count("trace") == 3
+    assert calls.count("trace_rows") == 3
 
 
 def test_modules_are_imported_only_when_needed():
@@ -319,7 +322,7 @@ def test_modules_are_imported_only_when_needed():
 
 @pytest.mark.parametrize("outputs", [["depth"], ["colour", "Class"], []])
 def test_raises_on_unknown_outputs(used, outputs):
-    with pytest.raises(InputError, match="colour, raw, electrons, class"):
+    with pytest.raises(InputError, match="colour, raw, electrons, bands"):
         used.render(camera(), outputs)
 
 

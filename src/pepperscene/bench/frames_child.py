@@ -82,11 +82,12 @@ def time_plants(times: Times) -> None:
 def time_light(times: Times) -> None:
     """Time the stages of a photograph, and the construction of Mitsuba's scene."""
     from pepperscene.render import kernel_scene, renderer
+    from pepperscene.render.transport import strips
 
     stages = {
         "kernel scene": (kernel_scene, "light_scene"),
-        "trace": (kernel_scene, "trace"),
-        "denoise": (kernel_scene, "denoised"),
+        "trace": (strips, "trace_rows"),
+        "denoise": (strips, "denoised"),
         "develop": (renderer, "develop"),
     }
     for stage, (module, name) in stages.items():

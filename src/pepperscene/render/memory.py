@@ -94,12 +94,13 @@ _SURROUNDINGS, _TILE_PIXELS = 48, 1 << 19
 """Pixels around a tile of the denoiser, and in it, as in `pepperscene.render.transport.strips`."""
 _PER_RAY: Final = 100.0
 """Bytes per pixel of a strip: its rays in double precision, and what computing them takes; chosen."""
-_PER_STRAY: Final = 20.0
-"""Bytes per pixel of stray light in a large image: five planes in single precision."""
 _PER_BAND_IN_TILE: Final = 12.0
 """Bytes per pixel and band of a tile of the denoiser: the light, in parts, and the result."""
+_PER_STRAY: Final = 22.0
+"""Bytes per pixel of stray light in a large image: five planes in single precision; measured."""
 _PER_DEVELOPED: Final = 100.0
-"""Bytes per pixel of a strip that is developed: 25 values."""
+"""Bytes per pixel of a strip that is developed: 25 values; measured 70 to 120 with its photosites."""
+_FILES: Final = 1.0  # bytes of the encoded files of a large frame, at most, over those of its images
 _WHOLE_LABELS: Final = {"coverage": 55.0}
 """Bytes per pixel of a large image that one of these outputs takes, as it is not computed in strips."""
 
@@ -228,6 +229,7 @@ def _strips_memory(camera: Camera, outputs: Collection[str], quality: Quality, *
         whole = max(_WHOLE_LABELS.get(name, 0.0) for name in labels) * pixels
         stages.append(photographs + images + whole + (_LABELS + further + _PER_RAY) * strip)
         stages[-1] += _points_memory(labels, strip)
+    stages.append((1.0 + _FILES) * sum(_image_size(name, camera) for name in outputs))
     return held + max(stages)
 
 

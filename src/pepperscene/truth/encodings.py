@@ -22,6 +22,7 @@ FARTHEST_CODED_M: Final = 254.0 * _CM_PER_STEP / 100.0
 
 _PALETTE: Final = np.array(CLASS_COLOURS, dtype=np.uint8)
 _BLOCK: Final = 65536  # chosen: pixels compared with the palette at a time, 4 MB of differences
+_COUNTED: Final = 1 << 20  # chosen: pixels whose classes are counted at a time, in 8 MB
 
 
 _UNKNOWN_ID: Final = f"class ids must be in 0 to {len(OrganClass) - 1}, or {IGNORE_CLASS}"
@@ -38,8 +39,14 @@ def class_pixel_counts(class_id: NDArray[np.integer[Any]]) -> dict[str, int]:
     Raises:
         ValueError: an id is neither one of the eight nor `IGNORE_CLASS`.
     """
-    counts = np.bincount(np.asarray(class_id).ravel(), minlength=len(OrganClass))
-    if counts[len(OrganClass) : IGNORE_CLASS].any() or len(counts) > IGNORE_CLASS + 1:
+    ids, counts = np.asarray(class_id).ravel(), np.zeros(IGNORE_CLASS + 1, np.int64)
+    # In parts, because each id is converted to eight bytes.
+    for start in range(0, ids.size, _COUNTED):
+        part = np.bincount(ids[start : start + _COUNTED], minlength=len(counts))
+        if len(part) > len(counts):
+            raise ValueError(_UNKNOWN_ID)
+        counts += part
+    if counts[len(OrganClass) : IGNORE_CLASS].any():
         raise ValueError(_UNKNOWN_ID)
     return {organ_class.name.lower(): int(counts[organ_class]) for organ_class in OrganClass}
 

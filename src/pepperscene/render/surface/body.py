@@ -39,7 +39,7 @@ class BodyPlace:
     leaving: Any
     lost: Any | None = None
     is_scanned: Any | None = None
-    colour: Any | None = None
+    colour: Any = None
 
 
 @dataclass(frozen=True, eq=False)
