@@ -165,7 +165,7 @@ def check_band_outputs(names: Iterable[str], sensor: str, *, has_bands: bool) ->
     """Raise `ArgumentError` if an output needs a sensor with bands, or one without."""
     wrong = (COLOUR_OUTPUTS if has_bands else BAND_OUTPUTS).intersection(names)
     if wrong and has_bands:
-        others = ", ".join(["electrons", *(name for name in OUTPUTS if name in BAND_OUTPUTS)])
+        others = ", ".join(repr(name) for name in ("electrons", *sorted(BAND_OUTPUTS)))
         problem = f"{min(wrong)!r} needs a colour or monochrome sensor; {sensor} has bands: use {others}"
         raise ArgumentError("outputs", problem)
     if wrong:
