@@ -81,23 +81,6 @@ _ALL: Final = (
         "expected photo-electrons per photosite of each colour, before noise",
         traced=True,
     ),
-    Output(
-        "bands", "(h, w, c)", "float32", "electrons of each band, as the sensor measures them", traced=True
-    ),
-    Output(
-        "radiance",
-        "(h, w, c)",
-        "float32",
-        "mean spectral radiance in each band, W m-2 sr-1 nm-1, without noise",
-        traced=True,
-    ),
-    Output(
-        "reflectance",
-        "(h, w, c)",
-        "float32",
-        "measured electrons of each band relative to those of a white reference",
-        traced=True,
-    ),
     Output("class", "(h, w)", "uint8", "class id, 0 to 7, or 255 where ignored; with a colour palette"),
     Output("class_colour", "(h, w, 3)", "uint8", "class colour of the published data set"),
     Output("instance", "(h, w)", "uint16", "organ instance; 0 is the background"),
@@ -137,6 +120,23 @@ _ALL: Final = (
         "float16",
         "diffuse reflectance as the camera develops it, linear sRGB; background 0",
         shows_surfaces=True,
+    ),
+    Output(
+        "bands", "(h, w, c)", "float32", "electrons of each band, as the sensor measures them", traced=True
+    ),
+    Output(
+        "radiance",
+        "(h, w, c)",
+        "float32",
+        "mean spectral radiance in each band, W m-2 sr-1 nm-1, without noise",
+        traced=True,
+    ),
+    Output(
+        "reflectance",
+        "(h, w, c)",
+        "float32",
+        "measured electrons of each band relative to those of a white reference",
+        traced=True,
     ),
 )
 OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
