@@ -46,7 +46,7 @@ class Paths:
 
     slot: Any
     vertices: list[Vertex]
-    ray: Any | None = None
+    ray: Any = None
     active: Any = None
     throughput: Any = None
 
