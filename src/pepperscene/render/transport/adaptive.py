@@ -1,8 +1,9 @@
 """Adaptive sampling: stop where the error of the light is hidden by the sensor noise in the image.
 
 Error and noise are compared as they are visible: in 8-bit codes of the developed image, root mean square
-over the image. Sensors with bands have no such image: their codes are parts of full scale, linear, and the
-mean square is also taken over the bands. Stratified samples of edges and penumbras do better than independent
+over the image. Sensors with bands have no such image: their codes are 255 times the square root of the light
+as a part of full scale, in which the noise of photons is the same everywhere (Anscombe 1948), and the mean
+square is also taken over the bands. Stratified samples of edges and penumbras do better than independent
 ones: an edge through a pixel cuts about sqrt(n) of n cells, so the variance of the mean is
 
     V(n) = VARIANCE_GAIN s^2 n^(-3/2)
@@ -261,9 +262,13 @@ def _rows_response(
         full_scale**2 / np.array(sensor.photosites, np.float32)
     )
     if matrix is None:
-        codes = _normalised(signal, white) * white.astype(np.float32) * electrons * full_scale
-        by_noise, by_light = (np.sqrt(np.mean(part, axis=-1)) for part in (variance, np.square(codes)))
-        return np.float32(255.0) * by_noise, np.float32(255.0) * by_light
+        slope = np.float32(127.5) * np.sqrt(
+            full_scale / (charge + np.float32(sensor.read_noise_e**2 + quantisation))
+        )
+        codes = slope * (_normalised(signal, white) * white.astype(np.float32) * electrons)
+        deviation = np.square(slope / full_scale) * variance
+        by_noise, by_light = (np.sqrt(np.mean(part, axis=-1)) for part in (deviation, np.square(codes)))
+        return by_noise, by_light
     linear = (charge * full_scale) @ matrix + _lift(camera)
     slope = _tone_slope(linear, camera.developing.tone)
     # Noise above the signal itself is clipped at black, where the tone curve would be steepest.

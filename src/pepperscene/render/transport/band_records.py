@@ -91,7 +91,9 @@ def sky_light(weights: Sequence[Any], lights: LightTables, entries: list[Any]) -
 def finite(place: BodyPlace, active: Any) -> BodyPlace:
     """A place for kernels that do not know which lanes are active: those that are not get a place as well."""
     mi, dr = mitsuba_modules()
-    colour = None if place.is_scanned is None else mi.Color3f(place.colour.x, place.colour.y, place.colour.z)
+    colour = None
+    if place.is_scanned is not None and place.colour is not None:
+        colour = mi.Color3f(place.colour.x, place.colour.y, place.colour.z)
     values = {item.name: getattr(place, item.name) for item in fields(BodyPlace)} | {"colour": colour}
     masks = {name: values.pop(name) for name in ("in_front", "is_scanned")}
     return BodyPlace(
