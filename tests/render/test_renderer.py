@@ -322,7 +322,7 @@ def test_modules_are_imported_only_when_needed():
 
 @pytest.mark.parametrize("outputs", [["depth"], ["colour", "Class"], []])
 def test_raises_on_unknown_outputs(used, outputs):
-    with pytest.raises(InputError, match="colour, raw, electrons, bands"):
+    with pytest.raises(InputError, match="colour, raw, electrons, class"):
         used.render(camera(), outputs)
 
 
