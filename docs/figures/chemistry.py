@@ -46,7 +46,7 @@ def draw(images: dict[str, NDArray[Any]]) -> None:
         palette = mpl.colormaps[colours].with_extremes(bad=NOTHING)
         drawn = axis.imshow(np.ma.masked_invalid(images[name]), cmap=palette, vmin=0.0, vmax=largest)
         axis.set_title(caption)
-        figure.colorbar(drawn, ax=axis, shrink=0.75)
+        figure.colorbar(drawn, ax=axis, shrink=0.9)
     figure.savefig(IMAGE, dpi=100, pil_kwargs={"quality": 85})
 
 

@@ -118,9 +118,7 @@ def tissue_states(
 class _Texels:
     """The four texels around each of n points, as `TextureTables.look_up` finds them."""
 
-    texture: NDArray[np.int64]  # `(n,)` number of the texture
-    rows: tuple[NDArray[np.int64], NDArray[np.int64]]  # `(n,)` above and below
-    columns: tuple[NDArray[np.int64], NDArray[np.int64]]  # `(n,)` to the left and to the right
+    index: NDArray[np.int64]  # `(2, 2, n)` in a stack of textures: above and below, to the left and the right
     across: FloatArray  # `(n,)` weight of those on the right
     down: FloatArray  # `(n,)` weight of those below
 
@@ -133,15 +131,12 @@ class _Texels:
         y = uv[:, 1] * height - 0.5
         left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         # Textures are periodic in u.
-        columns = left % width, (left + 1) % width
-        rows = np.clip(top, 0, height - 1), np.clip(top + 1, 0, height - 1)
-        return cls(texture, rows, columns, x - left, y - top)
+        columns = np.stack([left % width, (left + 1) % width])
+        rows = texture * height + np.clip([top, top + 1], 0, height - 1)
+        return cls(rows[:, None] * width + columns, x - left, y - top)
 
     def bilinear(self, images: NDArray[np.float32]) -> FloatArray:
         """`(n,)` values of a stack of textures `(t, h, w)`."""
-        above, below = (
-            (1.0 - self.across) * images[self.texture, row, self.columns[0]]
-            + self.across * images[self.texture, row, self.columns[1]]
-            for row in self.rows
-        )
+        left, right = np.moveaxis(np.take(images, self.index), 1, 0)
+        above, below = (1.0 - self.across) * left + self.across * right
         return np.asarray((1.0 - self.down) * above + self.down * below)
