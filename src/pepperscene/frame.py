@@ -81,23 +81,6 @@ _ALL: Final = (
         "expected photo-electrons per photosite of each colour, before noise",
         traced=True,
     ),
-    Output(
-        "bands", "(h, w, c)", "float32", "electrons of each band, as the sensor measures them", traced=True
-    ),
-    Output(
-        "radiance",
-        "(h, w, c)",
-        "float32",
-        "mean spectral radiance in each band, W m-2 sr-1 nm-1, without noise",
-        traced=True,
-    ),
-    Output(
-        "reflectance",
-        "(h, w, c)",
-        "float32",
-        "measured electrons of each band relative to those of a white reference",
-        traced=True,
-    ),
     Output("class", "(h, w)", "uint8", "class id, 0 to 7, or 255 where ignored; with a colour palette"),
     Output("class_colour", "(h, w, 3)", "uint8", "class colour of the published data set"),
     Output("instance", "(h, w)", "uint16", "organ instance; 0 is the background"),
@@ -169,6 +152,23 @@ _ALL: Final = (
         "ageing of leaf blades, 0 healthy to 1 dried up; nan elsewhere",
         shows_surfaces=True,
     ),
+    Output(
+        "bands", "(h, w, c)", "float32", "electrons of each band, as the sensor measures them", traced=True
+    ),
+    Output(
+        "radiance",
+        "(h, w, c)",
+        "float32",
+        "mean spectral radiance in each band, W m-2 sr-1 nm-1, without noise",
+        traced=True,
+    ),
+    Output(
+        "reflectance",
+        "(h, w, c)",
+        "float32",
+        "measured electrons of each band relative to those of a white reference",
+        traced=True,
+    ),
 )
 OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
 """All outputs by name, in canonical order."""
@@ -199,7 +199,7 @@ def check_band_outputs(names: Iterable[str], sensor: str, *, has_bands: bool) ->
     """Raise `ArgumentError` if an output needs a sensor with bands, or one without."""
     wrong = (COLOUR_OUTPUTS if has_bands else BAND_OUTPUTS).intersection(names)
     if wrong and has_bands:
-        others = ", ".join(["electrons", *(name for name in OUTPUTS if name in BAND_OUTPUTS)])
+        others = ", ".join(repr(name) for name in ("electrons", *sorted(BAND_OUTPUTS)))
         problem = f"{min(wrong)!r} needs a colour or monochrome sensor; {sensor} has bands: use {others}"
         raise ArgumentError("outputs", problem)
     if wrong:

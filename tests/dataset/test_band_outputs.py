@@ -207,7 +207,7 @@ def test_recorded_line_scanner_projects_the_positions_of_its_pixels(scanned):
 @pytest.mark.parametrize(
     ("changes", "output", "problem"),
     [
-        (MULTISPECTRAL, "colour", "has bands: use electrons, bands, radiance, reflectance"),
+        (MULTISPECTRAL, "colour", "has bands: use 'electrons', 'bands', 'radiance', 'reflectance'"),
         ({}, "reflectance", "needs a sensor with bands"),
     ],
 )
