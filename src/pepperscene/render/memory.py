@@ -1,7 +1,7 @@
 """Estimate of the memory that a render takes, before anything is allocated.
 
 The numbers were measured with `barth2018` on two cores, as the peak of the resident memory of processes that
-render one frame, from 320x240 to 4096x3072 pixels. Stages that follow each other share memory, so a frame
+render one frame, from 320x240 to 6000x4000 pixels. Stages that follow each other share memory, so a frame
 takes what its largest stage takes. What the denoiser and Dr.Jit have allocated, they keep for the next frame.
 """
 
@@ -92,7 +92,7 @@ of each, measured 330 to 380; and bytes of each for the contents of tissue."""
 _PER_CORNER: Final = 8.0  # bytes per pixel of a large image: the slopes of its corners on the device
 _SURROUNDINGS, _TILE_PIXELS = 48, 1 << 19
 """Pixels around a tile of the denoiser, and in it, as in `pepperscene.render.transport.strips`."""
-_PER_RAY: Final = 100.0
+_PER_RAY: Final = 50.0
 """Bytes per pixel of a strip: its rays in double precision, and what computing them takes; chosen."""
 _PER_BAND_IN_TILE: Final = 12.0
 """Bytes per pixel and band of a tile of the denoiser: the light, in parts, and the result."""
@@ -229,7 +229,9 @@ def _strips_memory(camera: Camera, outputs: Collection[str], quality: Quality, *
         whole = max(_WHOLE_LABELS.get(name, 0.0) for name in labels) * pixels
         stages.append(photographs + images + whole + (_LABELS + further + _PER_RAY) * strip)
         stages[-1] += _points_memory(labels, strip)
-    stages.append((1.0 + _FILES) * sum(_image_size(name, camera) for name in outputs))
+    sizes = [_image_size(name, camera) for name in outputs]
+    # The image that is encoded is copied once.
+    stages.append((1.0 + _FILES) * sum(sizes) + max(sizes, default=0.0))
     return held + max(stages)
 
 

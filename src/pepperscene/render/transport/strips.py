@@ -37,7 +37,9 @@ FinishedRows = Iterable[tuple[slice, Image]]
 """Rows of an image and all their light, `(n, w, c)`."""
 
 SURROUNDINGS: Final = 48
-"""Pixels around a tile that the denoiser sees; see the measurements in `tests/render/test_strips.py`."""
+"""Pixels around a tile that the denoiser sees. Chosen: the reach of the mean that it restores. Two plants by
+flash, 480x360, in strips of 60 rows: the difference to the whole image is .0036 codes (root mean square) with
+32 pixels, and .0034 with 64 and with 96, beside a noise of 2.8; rows at seams step by .0003 codes."""
 _ALIGNMENT: Final = 32
 """Pixels that the filter joins to one at most: its result depends on which of them are joined."""
 TILE_PIXELS: Final = 1 << 19
