@@ -51,6 +51,8 @@ _PER_BOUNCE: Final = 30e6  # bytes of the code for one more scattering event, an
 _TRACED_HELD, _TRACED_PEAK = 225.0, 315.0
 """Bytes per pixel of a sensor with three channels, after light was traced, and at most meanwhile: 2.8 and 3.9
 times the 80 that the sums over samples take; measured 210 to 230 and 290 to 315."""
+_BAND_SHARE: Final = 1.15
+"""Further factor of a sensor with bands: a frame of 30 bands of 800x600 pixels took 2.3 GB."""
 _PER_PART: Final = 96.0
 """Bytes per pixel of a sensor with three channels that the light of an exposure's first part takes while the
 second is traced: 21 values of `TracedLight`, and 3 of the image."""
@@ -168,6 +170,8 @@ def _whole_memory(camera: Camera, outputs: Collection[str], quality: Quality, *,
             total += _denoiser_memory(camera.width, camera.height, _per_denoised(camera))
         # Half of the arrays have one entry for each channel of the sensor.
         share = (3 + camera.sensor.channels) / 6
+        if camera.sensor.pattern == "bands":
+            share *= _BAND_SHARE
         sites = _PER_SITE * np.prod(camera.sensor.site_shape) / pixels
         held = _TRACED_HELD * share
         is_divided = len(exposure_parts(camera, has_daylight=True)) > 1
