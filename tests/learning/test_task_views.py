@@ -1,4 +1,4 @@
-"""Next best view: the conditions of the task, planners against each other and an exhaustive search, bad planners."""
+"""Next best view: conditions of the task, planners against an exhaustive search, bad planners."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def scene():
 
 
 def camera(width=80, height=60):
-    sensor = ps.load_sensor("generic_rgb").resized(width, height)
-    return ps.Camera(ps.load_lens("none"), sensor)
+    sensor = ps.load_sensor("realsense_d435_colour").with_size(width, height)
+    return ps.Camera(ps.load_lens("realsense_d435_colour"), sensor)
 
 
 def state_of(candidates, taken, frames=None, views=3, arc=(0, 1, 2)):
@@ -138,7 +138,10 @@ def test_the_voxel_planner_never_takes_a_view_twice(scene):
 @pytest.mark.parametrize(
     ("planner", "message"),
     [
-        (lambda state: len(state.candidates), r"mine: must return the number of a candidate, from 0 to \d+, not"),
+        (
+            lambda state: len(state.candidates),
+            r"mine: must return the number of a candidate, from 0 to \d+, not",
+        ),
         (lambda state: 0.5, r"mine: must return the number of a candidate, from 0 to \d+, not 0\.5"),
         (lambda state: 1 // 0, "mine: failed with ZeroDivisionError: "),
     ],
@@ -174,7 +177,15 @@ def test_the_command_scores_a_function_of_the_user(tmp_path, monkeypatch):
         "cultivar=kaite_february", "row={plants_front=1, plants_back=0}",
         "plan={sets=1, rotations=1, frames=2}", "camera.width=120", "camera.height=90",
     ]  # fmt: skip
-    arguments = ["task", "next_best_view", "barth2018", "--method", "own_planner:farthest", "--baseline", "arc"]
+    arguments = [
+        "task",
+        "next_best_view",
+        "barth2018",
+        "--method",
+        "own_planner:farthest",
+        "--baseline",
+        "arc",
+    ]
     arguments += ["--views", "3", "--candidates", "8"]
     for change in changes:
         arguments += ["--set", change]
@@ -182,7 +193,9 @@ def test_the_command_scores_a_function_of_the_user(tmp_path, monkeypatch):
     if done.exit_code == EXIT_BAD_INPUT:
         assert "no fruit opposite the workspace" in done.stderr
         pytest.fail(done.stderr)
-    rows = {line.split()[0]: [float(cell) for cell in line.split()[1:]] for line in done.stdout.splitlines()[2:5]}
+    rows = {
+        line.split()[0]: [float(cell) for cell in line.split()[1:]] for line in done.stdout.splitlines()[2:5]
+    }
     assert set(rows) == {"arc", "own_planner:farthest", "oracle"}
     # The first view is the same, and the oracle's second is the best.
     assert len({row[0] for row in rows.values()}) == 1

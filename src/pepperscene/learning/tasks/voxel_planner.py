@@ -21,7 +21,7 @@ _NEAR_FRUIT_M: Final = 0.06  # chosen: unknown voxels up to here may belong to a
 _ELSEWHERE: Final = 0.05  # chosen: weight of other unknown voxels, so that hidden fruit is found as well
 _MOST_VOXELS: Final = 1500  # chosen: unknown voxels that a view is judged by, in milliseconds
 _STEPS: Final = 40  # chosen: along a ray through the box, less than a voxel each
-_PIXEL_STEP: Final = 3  # chosen: pixels on a surface at arm's length are 1 mm apart, and voxels 20 mm
+_COLUMNS: Final = 200  # chosen: columns of pixels that mark voxels; at arm's length they are 5 mm apart
 
 
 class VoxelPlanner:
@@ -64,7 +64,8 @@ class VoxelMap:
         depth, classes = frame["depth_z"].astype(float), frame["class"]
 
         # Voxels with a surface: the points of every few pixels.
-        step = np.s_[::_PIXEL_STEP, ::_PIXEL_STEP]
+        every = max(1, camera.width // _COLUMNS)
+        step = np.s_[::every, ::every]
         directions = camera.pixel_directions()[step]
         seen = np.isfinite(depth[step])
         rays = directions[seen] / directions[seen][:, 2:]
