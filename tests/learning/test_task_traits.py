@@ -125,9 +125,10 @@ def test_partial_least_squares_with_all_components_are_least_squares():
 
 def test_indices_need_bands_near_their_wavelengths():
     assert has_bands("ndvi", np.array([660.0, 815.0]))
+    assert not has_bands("ndvi", np.array([660.0, 740.0]))
     assert not has_bands("pri", BANDS)
     assert not has_bands("best_index", np.array([500.0]))
-    with pytest.raises(InputError, match="pri: needs a band at 531 nm; the nearest one is at 560 nm"):
+    with pytest.raises(InputError, match="pri: needs a band from 526 to 536 nm"):
         REGRESSIONS["pri"](random_bands(0), np.ones(60), BANDS)
 
 

@@ -6,6 +6,7 @@ import json as json_text
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
@@ -191,8 +192,23 @@ def _sensors(request: _Request) -> TaskResult:
         )
 
 
+def _trait(name: str, request: _Request) -> TaskResult:
+    from pepperscene.learning.tasks.trait_regression import REGRESSIONS
+    from pepperscene.learning.tasks.trait_task import evaluate_trait
+
+    request.check("predictions", "split")
+    # Not all baselines suit all bands.
+    methods = None if request.needs_baselines else request.select(REGRESSIONS)
+    with image_progress("read", "frames") as on_progress:
+        return evaluate_trait(
+            name, request.source, methods, request.predictions, split=request.split, on_progress=on_progress
+        )
+
+
 _TASKS: Final[Mapping[str, Callable[[_Request], TaskResult]]] = {
     "depth_completion": _depth,
     "next_best_view": _views,
     "cross_sensor": _sensors,
+    "ripeness": partial(_trait, "ripeness"),
+    "chlorophyll": partial(_trait, "chlorophyll"),
 }

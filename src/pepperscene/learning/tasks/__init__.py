@@ -3,6 +3,7 @@
 from pepperscene.learning.tasks.depth_task import evaluate_depth
 from pepperscene.learning.tasks.result import Score, TaskResult
 from pepperscene.learning.tasks.sensor_task import evaluate_sensors
+from pepperscene.learning.tasks.trait_task import evaluate_trait
 from pepperscene.learning.tasks.view_planners import Planner, PlanningState
 from pepperscene.learning.tasks.view_scenes import ViewTask
 from pepperscene.learning.tasks.view_task import evaluate_planners
@@ -16,4 +17,5 @@ __all__ = [
     "evaluate_depth",
     "evaluate_planners",
     "evaluate_sensors",
+    "evaluate_trait",
 ]

@@ -26,15 +26,16 @@ Predictor = Callable[[FloatArray], FloatArray]
 Regression = Callable[[FloatArray, FloatArray, FloatArray], Predictor]
 """From reflectances `(n, c)`, traits `(n,)` and the wavelength of each band `(c,)`, nm, to a predictor."""
 
-INDICES: Final[Mapping[str, tuple[float, float]]] = {
-    "ndvi": (800.0, 670.0),
-    "ndre": (790.0, 720.0),
-    "pri": (531.0, 570.0),
-}
-"""Wavelengths in nm of normalised differences: the second band is subtracted from the first."""
+_NEAR_INFRARED: Final = (780.0, 900.0)
+"""Range of the plateau of leaves, in which a band at any wavelength will do."""
 
-_FARTHEST_NM: Final = 25.0
-"""A band stands for a wavelength at most this far. Chosen: half of the width of a wide band."""
+INDICES: Final[Mapping[str, tuple[tuple[float, float], tuple[float, float]]]] = {
+    "ndvi": (_NEAR_INFRARED, (640.0, 690.0)),
+    "ndre": (_NEAR_INFRARED, (700.0, 740.0)),
+    "pri": ((526.0, 536.0), (565.0, 575.0)),
+}
+"""Normalised differences of two bands, the second subtracted from the first: the range of each one's centre, nm.
+Of several bands in a range, the one nearest to its middle is used."""
 
 _RIDGE: Final = 1e-3
 """Penalty of ridge regression, in variances of standardised bands. Chosen: small, but enough that similar
@@ -55,9 +56,9 @@ def index_regression(
     """A straight line on a spectral index of `INDICES`.
 
     Raises:
-        InputError: there is no band near one of its wavelengths.
+        InputError: there is no band in one of its ranges.
     """
-    first, second = (_band(name, nm, bands_nm) for nm in INDICES[name])
+    first, second = (_band(name, limits, bands_nm) for limits in INDICES[name])
     return _line(reflectance, trait, first, second)
 
 
@@ -119,18 +120,22 @@ REGRESSIONS: Final[Mapping[str, Regression]] = {
 
 def has_bands(name: str, bands_nm: FloatArray) -> bool:
     """Whether a baseline can be computed from these bands."""
-    wanted = INDICES.get(name, ())
-    near = all(float(np.abs(bands_nm - nm).min()) <= _FARTHEST_NM for nm in wanted)
-    return near and (name != "best_index" or len(bands_nm) > 1)
+    ranges = INDICES.get(name, ())
+    found = all(_bands_between(limits, bands_nm).size for limits in ranges)
+    return found and (name != "best_index" or len(bands_nm) > 1)
 
 
-def _band(name: str, wanted_nm: float, bands_nm: FloatArray) -> int:
-    """Number of the band that stands for a wavelength."""
-    nearest = int(np.abs(bands_nm - wanted_nm).argmin())
-    if abs(bands_nm[nearest] - wanted_nm) > _FARTHEST_NM:
-        problem = f"needs a band at {wanted_nm:g} nm; the nearest one is at {bands_nm[nearest]:g} nm"
+def _band(name: str, limits_nm: tuple[float, float], bands_nm: FloatArray) -> int:
+    """Number of the band in a range that is nearest to its middle."""
+    inside = _bands_between(limits_nm, bands_nm)
+    if not inside.size:
+        problem = f"needs a band from {limits_nm[0]:g} to {limits_nm[1]:g} nm"
         raise InputError(name, problem)
-    return nearest
+    return int(inside[np.abs(bands_nm[inside] - 0.5 * sum(limits_nm)).argmin()])
+
+
+def _bands_between(limits_nm: tuple[float, float], bands_nm: FloatArray) -> NDArray[np.intp]:
+    return np.flatnonzero((limits_nm[0] <= bands_nm) & (bands_nm <= limits_nm[1]))
 
 
 def _difference(reflectance: FloatArray, first: int, second: int) -> FloatArray:
