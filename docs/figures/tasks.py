@@ -2,8 +2,8 @@
 
     python docs/figures/tasks.py
 
-It shows a frame of the test of depth completion, which is cached in the folder `pepperscene_tasks` of the system's
-folder for temporary files, and what each baseline makes of it.
+It shows a frame of the test of depth completion, which is cached in the folder `pepperscene_tasks` of the
+system's folder for temporary files, and what baselines make of it.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ INDICES: Final[Mapping[str, tuple[tuple[float, float], tuple[float, float]]]] = 
     "ndre": (_NEAR_INFRARED, (700.0, 740.0)),
     "pri": ((526.0, 536.0), (565.0, 575.0)),
 }
-"""Normalised differences of two bands, the second subtracted from the first: the range of each one's centre, nm.
-Of several bands in a range, the one nearest to its middle is used."""
+"""Normalised differences of two bands, the second subtracted from the first: the range of each one's centre,
+nm. Of several bands in a range, the one nearest to its middle is used."""
 
 _RIDGE: Final = 1e-3
 """Penalty of ridge regression, in variances of standardised bands. Chosen: small, but enough that similar
