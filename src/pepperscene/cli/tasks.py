@@ -36,6 +36,7 @@ class _Request:
     twin: int | None
     views: int | None
     candidates: int | None
+    box: str | None
     changes: tuple[str, ...]
 
     def check(self, *allowed: str) -> None:
@@ -115,6 +116,13 @@ def task(
     candidates: Annotated[
         int | None, typer.Option(metavar="N", help="Random views that it chooses from. Default: 300.")
     ] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X0,X1,Y0,Y1,Z0,Z1",
+            help="Workspace of its camera, in millimetres. Default: -500,500,-700,-300,1000,1800.",
+        ),
+    ] = None,
     set: SetOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -123,7 +131,7 @@ def task(
         raise InputError("task", f"must be one of {', '.join(_TASKS)}, not {name!r}")
     request = _Request(
         source, tuple(baseline or ()), tuple(predictions or ()), tuple(method or ()), split, out, steps, twin,
-        views, candidates, tuple(set or ()),
+        views, candidates, box, tuple(set or ()),
     )  # fmt: skip
     result = _TASKS[name](request)
     if json:
@@ -155,13 +163,15 @@ def _depth(request: _Request) -> TaskResult:
 
 
 def _views(request: _Request) -> TaskResult:
+    from pepperscene.cli.viewpoints import parse_box
     from pepperscene.dataset import parse_changes, resolve_recipe
     from pepperscene.learning.tasks.view_scenes import ViewTask
     from pepperscene.learning.tasks.view_task import PLANNERS, evaluate_planners
 
-    request.check("methods", "views", "candidates", "changes")
+    request.check("methods", "views", "candidates", "box", "changes")
     planners = {**request.select(PLANNERS), **request.load_methods()}
-    given = {"views": request.views, "candidates": request.candidates}
+    given: dict[str, Any] = {"views": request.views, "candidates": request.candidates}
+    given["box"] = None if request.box is None else parse_box(request.box)
     conditions = ViewTask(**{key: value for key, value in given.items() if value is not None})
     recipe = resolve_recipe(request.source, parse_changes(request.changes))
     return evaluate_planners(recipe, planners, conditions, on_stage=echo_progress)
