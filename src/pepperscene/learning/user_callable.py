@@ -34,4 +34,4 @@ def import_callable(path: str, argument: str) -> Callable[..., Any]:
         raise ArgumentError(argument, f"{module} cannot be imported ({text})") from None
     if not callable(found):
         raise ArgumentError(argument, f"{path} is not callable")
-    return found  # type: ignore[no-any-return]
+    return found

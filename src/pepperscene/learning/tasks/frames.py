@@ -99,7 +99,7 @@ def open_task_frames(folder: str | Path, outputs: Sequence[str], split: str | No
     members = read_splits(split or DEFAULT_SPLIT, plan, indices).members(indices)
     if TEST not in members:
         raise ArgumentError("split", f"must have a split {TEST!r}, not only {', '.join(members)}")
-    used = {name: members[name] for name in (TRAIN, TEST) if name in members}
+    used: dict[str, tuple[int, ...]] = {name: members[name] for name in (TRAIN, TEST) if name in members}
     for index in sorted(index for frames in used.values() for index in frames):
         _check_outputs(dataset, index, outputs)
     train, test = (TaskFrames(dataset, name, used.get(name, ())) for name in (TRAIN, TEST))
