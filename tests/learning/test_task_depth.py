@@ -126,6 +126,17 @@ def test_the_guided_filter_follows_the_colours():
     assert errors["navier_stokes"].max() > 0.1
 
 
+@pytest.mark.parametrize("name", BASELINES)
+def test_baselines_fill_from_a_single_measured_pixel(name):
+    sensor = np.full((50, 70), np.nan, np.float32)
+    sensor[30, 60] = 0.7
+    colour = np.random.default_rng(0).integers(0, 256, (50, 70, 3)).astype(np.uint8)
+    depth = BASELINES[name](colour, sensor)
+    assert np.isfinite(depth).all()
+    if name != "navier_stokes":
+        np.testing.assert_allclose(depth, 0.7, atol=1e-5)
+
+
 def test_ip_basic_gives_holes_the_nearest_surface_around():
     sensor = np.full((40, 60), 1.0, np.float32)
     sensor[:, 30:] = 0.5

@@ -94,11 +94,11 @@ def guided_filter(colour: Colour, sensor: NDArray[np.float32]) -> DepthMap:
     filled = measured.copy()
     radius, hole = _GUIDE_RADIUS_PX, ~known
     while hole.any():
-        fitted, has_value = _linear_in_colour(cv2, guide, measured, known, radius)
+        fitted = _linear_in_colour(cv2, guide, measured, known, radius)
         window = np.ones((2 * radius + 1,) * 2, np.uint8)
         high = cv2.dilate(np.where(known, measured, -np.inf), window)
         low = cv2.erode(np.where(known, measured, np.inf), window)
-        new = hole & has_value & np.isfinite(high)
+        new = hole & (cv2.dilate(known.astype(np.uint8), window) > 0)
         filled[new] = np.clip(fitted, low, high)[new]
         radius, hole = 2 * radius, hole & ~new
     return filled
@@ -137,8 +137,8 @@ def _fill_by_dilation(inverted: NDArray[np.float32], side: int) -> NDArray[np.fl
 
 def _linear_in_colour(
     cv2: Any, guide: NDArray[np.float64], depth: NDArray[np.float64], known: NDArray[np.bool_], radius: int
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The filtered depth `(h, w)`, and where there is one."""
+) -> NDArray[np.float64]:
+    """The filtered depth `(h, w)`; of no meaning where no pixel within two radii is measured."""
     weight = known.astype(np.float64)
 
     def window_sum(image: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -165,8 +165,6 @@ def _linear_in_colour(
     # Slope and offset of each window, and their means over the windows of a pixel by measured pixels.
     slope = np.linalg.solve(covariance + _GUIDE_EPSILON * np.eye(3), with_depth[..., None])[..., 0]
     offset = mean_depth - (slope * mean_colour).sum(axis=-1)
-    total = window_sum(count)
-    has_value = total > 0.5
-    total = np.maximum(total, 1.0)
+    total = np.maximum(window_sum(count), 1.0)
     slopes = window_sum(count[..., None] * slope) / total[..., None]
-    return (slopes * guide).sum(axis=-1) + window_sum(count * offset) / total, has_value
+    return np.asarray((slopes * guide).sum(axis=-1) + window_sum(count * offset) / total)
