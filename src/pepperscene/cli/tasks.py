@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_text
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
@@ -104,7 +104,7 @@ def task(
         Path | None, typer.Option(metavar="DIR", help="Folder of the networks that cross_sensor trains.")
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(metavar="N", help="Steps of their training. Default: the model's.")
+        int | None, typer.Option(metavar="N", help="Steps of their training. Default: 300.")
     ] = None,
     twin: Annotated[
         int | None,
@@ -180,14 +180,13 @@ def _views(request: _Request) -> TaskResult:
 def _sensors(request: _Request) -> TaskResult:
     from pepperscene.cli.learning import require_torch
     from pepperscene.cli.training_progress import training_progress
-    from pepperscene.learning.tasks.sensor_task import SENSOR_BASELINES, evaluate_sensors
-    from pepperscene.learning.training_options import TrainingOptions
+    from pepperscene.learning.tasks.sensor_task import SENSOR_BASELINES, TRAINING, evaluate_sensors
 
     request.check("predictions", "split", "out", "steps", "twin")
     names = tuple(request.select(SENSOR_BASELINES))
     if names:
         require_torch()
-    options = TrainingOptions(steps=request.steps)
+    options = TRAINING if request.steps is None else replace(TRAINING, steps=request.steps)
     options.completed()
     with training_progress() as on_progress:
         return evaluate_sensors(

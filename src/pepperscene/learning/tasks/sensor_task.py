@@ -34,6 +34,9 @@ SENSOR_OUTPUTS: Final = ("colour", "class")
 
 CLASSES: Final = ClassTable.organs()
 
+TRAINING: Final = TrainingOptions(steps=300, size=(128, 128), width=320, precision="float32")
+"""Chosen: minutes on a laptop without a GPU, and the same numbers on all processors as far as possible."""
+
 SegmentImage = Callable[[int, LabelledImage], NDArray[np.uint8]]
 """From the index of a frame and its image to class ids `(h, w)`."""
 
@@ -84,7 +87,7 @@ def evaluate_sensors(
         out: folder of the trainings; each is resumed if it is there. Needed for baselines.
         twin: number of the twin that methods learn from.
         split: as for an export, see `open_task_frames`.
-        options: of the trainings; None for the defaults of the network `small`.
+        options: of the trainings; None for `TRAINING`.
         device: of torch.
         on_training: called with the name of a baseline and its progress.
 
@@ -189,7 +192,7 @@ def _train_baseline(
     model = train(
         [sets],
         out / name,
-        replace(options or TrainingOptions(), augmentation=baseline.augmentation),
+        replace(options or TRAINING, augmentation=baseline.augmentation),
         resume=True,
         device=device,
         on_progress=None if on_training is None else lambda progress: on_training(name, progress),
