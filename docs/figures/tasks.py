@@ -19,7 +19,7 @@ import pepperscene as ps
 from pepperscene.learning.tasks.depth_baselines import BASELINES
 
 CACHE: Final = Path(tempfile.gettempdir()) / "pepperscene_tasks"
-FRAME: Final = 17
+FRAME: Final = 15
 CHANGES: Final = {"camera.width": 640, "camera.height": 360}
 
 
