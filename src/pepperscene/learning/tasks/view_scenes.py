@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -140,8 +140,15 @@ class ViewScene:
         return Renderer(self.scene)
 
 
-def view_scenes(recipe: ResolvedRecipe, task: ViewTask) -> Iterator[ViewScene]:
+def view_scenes(
+    recipe: ResolvedRecipe, task: ViewTask, on_stage: Callable[[str], None] | None = None
+) -> Iterator[ViewScene]:
     """The first scene of each set of plants.
+
+    Args:
+        recipe: with its files.
+        task: conditions.
+        on_stage: called with the name of each stage that takes long.
 
     Raises:
         InputError: no position of the arc is reachable, or hardly any of the workspace.
@@ -150,6 +157,8 @@ def view_scenes(recipe: ResolvedRecipe, task: ViewTask) -> Iterator[ViewScene]:
     plan = recipe.recipe.plan
     for number in range(plan.sets):
         spec = plan.frame(number * plan.rotations * plan.scene_frames)
+        if on_stage is not None:
+            on_stage("growing plants")
         scene = frames.scene(spec, traced=False)
         camera = frames.setups.at(spec).camera
         reach = ReachTest(task.box, scene.mesh, task.clearance_m)

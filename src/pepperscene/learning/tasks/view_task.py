@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Integral
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.recipe.load import resolve_recipe
+from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.errors import InputError, PepperError
 from pepperscene.learning.tasks.result import Measure, Score, TaskResult
@@ -56,7 +58,7 @@ class PlannedViews:
 
 
 def evaluate_planners(
-    recipe: str | ResolvedRecipe,
+    recipe: str | Path | Recipe | ResolvedRecipe,
     planners: Mapping[str, Planner] | None = None,
     task: ViewTask | None = None,
     *,
@@ -65,7 +67,7 @@ def evaluate_planners(
     """Score planners of views by the fruit surface that was seen after each view.
 
     Args:
-        recipe: a recipe, its name or file; the first scene of each of its sets of plants is used.
+        recipe: a recipe, its name or its file; the first scene of each of its sets of plants is used.
         planners: by name; None for all `PLANNERS`. An own planner is a function of a `PlanningState`.
         task: conditions; None for the default.
         on_stage: called with the name of each stage that takes long.
@@ -73,7 +75,8 @@ def evaluate_planners(
     Raises:
         InputError: the recipe is not valid, no fruit is in reach, or a planner returns no candidate.
     """
-    planned, most = plan_views(recipe, planners, task, on_stage=on_stage)
+    resolved = resolve_recipe(recipe)
+    planned, most = plan_views(resolved, planners, task, on_stage=on_stage)
     views = next(iter(planned.values())).coverage.shape[1]
     shown = sorted({1, 2, 3, 5, views} & set(range(1, views + 1)))
     measures = (
@@ -88,18 +91,17 @@ def evaluate_planners(
         mean = result.coverage.mean(axis=0)
         values = {f"coverage_{view}": float(mean[view - 1]) for view in range(1, views + 1)}
         scores.append(Score(name, "", {**values, "mean": float(mean.mean())}))
-    name = recipe if isinstance(recipe, str) else recipe.recipe.name
     scenes = f"{len(most)} scene{'' if len(most) == 1 else 's'}"
     notes = (
         f"all candidates together: {100 * float(np.mean(most)):.1f} %",
         "mean: over the numbers of views",
     )
-    title = f"Next best view: {name}, {scenes}, fruit surface seen"
+    title = f"Next best view: {resolved.recipe.name}, {scenes}, fruit surface seen"
     return TaskResult("next_best_view", title, measures, tuple(scores), notes=notes)
 
 
 def plan_views(
-    recipe: str | ResolvedRecipe,
+    recipe: str | Path | Recipe | ResolvedRecipe,
     planners: Mapping[str, Planner] | None = None,
     task: ViewTask | None = None,
     *,
@@ -110,14 +112,13 @@ def plan_views(
     Arguments and errors are those of `evaluate_planners`.
     """
     notify = on_stage or _ignore
-    resolved = resolve_recipe(recipe) if isinstance(recipe, str) else recipe
+    resolved = resolve_recipe(recipe)
     used = PLANNERS if planners is None else planners
     names = (*used, ORACLE)
     coverage: dict[str, list[FloatArray]] = {name: [] for name in names}
     views: dict[str, list[tuple[int, ...]]] = {name: [] for name in names}
     most = []
-    notify("growing plants")
-    for scene in view_scenes(resolved, task or ViewTask()):
+    for scene in view_scenes(resolved, task or ViewTask(), on_stage):
         notify(f"observing scene {scene.spec.scene} from {len(scene.candidates)} views")
         if not len(scene.fruit):
             raise InputError(
@@ -129,7 +130,6 @@ def plan_views(
             runs = _runs(name, used.get(name), scene)
             coverage[name].append(np.mean([covered_fraction(scene, run) for run in runs], axis=0))
             views[name].append(tuple(runs[-1]))
-        notify("growing plants")
     planned = {name: PlannedViews(np.array(coverage[name]), tuple(views[name])) for name in names}
     return planned, np.array(most)
 
