@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.learning.tasks.result import Measure
+from pepperscene.learning.tasks.result import TaskMeasure
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,11 +27,11 @@ BORDER_PX: Final = 3
 covers both organs there."""
 
 DEPTH_MEASURES: Final = (
-    Measure("share", "pixels, %", 1, 100.0),
-    Measure("rmse_mm", "RMSE, mm"),
-    Measure("mae_mm", "MAE, mm"),
-    Measure("rel", "REL, %", 2, 100.0),
-    *(Measure(f"within_{factor:.2f}", f"δ {factor:.2f}, %", 1, 100.0) for factor in FACTORS),
+    TaskMeasure("share", "pixels, %", 1, 100.0),
+    TaskMeasure("rmse_mm", "RMSE, mm"),
+    TaskMeasure("mae_mm", "MAE, mm"),
+    TaskMeasure("rel", "REL, %", 2, 100.0),
+    *(TaskMeasure(f"within_{factor:.2f}", f"δ {factor:.2f}, %", 1, 100.0) for factor in FACTORS),
 )
 
 SUMS: Final = 4 + len(FACTORS)

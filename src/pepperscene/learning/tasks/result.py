@@ -14,7 +14,7 @@ FORMAT: Final = "pepperscene task 1"
 
 
 @dataclass(frozen=True)
-class Measure:
+class TaskMeasure:
     """One measure of a task.
 
     Attributes:
@@ -60,7 +60,7 @@ class TaskResult:
 
     task: str
     title: str
-    measures: tuple[Measure, ...]
+    measures: tuple[TaskMeasure, ...]
     scores: tuple[Score, ...]
     part: str = ""
     notes: tuple[str, ...] = ()
@@ -101,7 +101,7 @@ class TaskResult:
         cells = [self._cell(one, score.values.get(one.name, np.nan)) for one in self.measures]
         return (score.method, *([score.part] if self.part else []), *cells)
 
-    def _cell(self, measure: Measure, value: float) -> str:
+    def _cell(self, measure: TaskMeasure, value: float) -> str:
         if not np.isfinite(value):
             return UNKNOWN
         # Adding zero turns a rounded minus zero into zero.

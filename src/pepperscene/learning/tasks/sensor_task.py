@@ -22,7 +22,7 @@ from pepperscene.learning.evaluation.confusion import (
 from pepperscene.learning.evaluation.segmenter import predict_classes
 from pepperscene.learning.tasks.frames import TaskFrames, TaskSplit, count_frames, open_task_frames
 from pepperscene.learning.tasks.predictions import PredictionFolder
-from pepperscene.learning.tasks.result import Measure, Score, TaskResult
+from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.training_options import TrainingOptions
 
 if TYPE_CHECKING:
@@ -207,7 +207,8 @@ def _train_baseline(
 
 def _result(frames: TaskSplit, scores: Sequence[Score], twin: int) -> TaskResult:
     measures = tuple(
-        Measure(name, f"{name}, %" if name == "mean" else name, 1, 100.0) for name in ("mean", *CLASSES.names)
+        TaskMeasure(name, f"{name}, %" if name == "mean" else name, 1, 100.0)
+        for name in ("mean", *CLASSES.names)
     )
     others = ", ".join(str(number) for number in _twins(frames.test) if number != twin)
     title = (

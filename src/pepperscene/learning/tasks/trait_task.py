@@ -15,7 +15,7 @@ from pepperscene.dataset.store.fields import read_frame
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.tasks.frames import TEST, TRAIN, TaskFrames, count_frames, open_task_frames
 from pepperscene.learning.tasks.predictions import PredictionFolder
-from pepperscene.learning.tasks.result import Measure, Score, TaskResult
+from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, Regression, has_bands
 from pepperscene.learning.tasks.trait_samples import (
     SMALLEST_PX,
@@ -62,14 +62,14 @@ BAND_INPUTS: Final = ("reflectance", "instance", "class")
 PNG_UNIT: Final = 1.0  # predictions as PNG hold whole units
 
 
-def trait_measures(trait: Trait) -> tuple[Measure, ...]:
+def trait_measures(trait: Trait) -> tuple[TaskMeasure, ...]:
     """The measures of a trait's table."""
     unit = f", {trait.unit}" if trait.unit else ""
     return (
-        Measure("organs", trait.organs, 0),
-        Measure("rmse", f"RMSE{unit}", trait.digits),
-        Measure("bias", f"bias{unit}", trait.digits),
-        Measure("r2", "R2", 3),
+        TaskMeasure("organs", trait.organs, 0),
+        TaskMeasure("rmse", f"RMSE{unit}", trait.digits),
+        TaskMeasure("bias", f"bias{unit}", trait.digits),
+        TaskMeasure("r2", "R2", 3),
     )
 
 

@@ -15,7 +15,7 @@ from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.errors import InputError, PepperError
-from pepperscene.learning.tasks.result import Measure, Score, TaskResult
+from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.tasks.view_planners import (
     Planner,
     PlanningState,
@@ -81,10 +81,10 @@ def evaluate_planners(
     shown = sorted({1, 2, 3, 5, views} & set(range(1, views + 1)))
     measures = (
         *(
-            Measure(f"coverage_{view}", f"{view} view{'s' if view > 1 else ''}, %", 1, 100.0)
+            TaskMeasure(f"coverage_{view}", f"{view} view{'s' if view > 1 else ''}, %", 1, 100.0)
             for view in shown
         ),
-        Measure("mean", "mean, %", 1, 100.0),
+        TaskMeasure("mean", "mean, %", 1, 100.0),
     )
     scores = []
     for name, result in planned.items():
