@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import linregress
+from task_sets import painted_set
+from typer.testing import CliRunner
 
-from pepperscene.errors import InputError
+from pepperscene.cli import app
+from pepperscene.dataset import open_dataset
+from pepperscene.errors import EXIT_BAD_INPUT, InputError
+from pepperscene.frame import OUTPUTS
 from pepperscene.learning.tasks.predictions import PredictionFolder
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, has_bands, partial_least_squares
 from pepperscene.learning.tasks.trait_samples import OrganSamples, join_samples, organ_samples
@@ -153,3 +158,43 @@ def test_a_split_without_organs_is_rejected():
     none = samples_of(np.zeros((0, 5)), np.zeros(0))
     with pytest.raises(InputError, match="test: has no organ that is large enough"):
         score_regressions(samples_of(random_bands(0), np.ones(60)), none, BANDS)
+
+
+needs_bands = pytest.mark.skipif("reflectance" not in OUTPUTS, reason="there are no sensors with bands")
+
+
+def paint_fruit(seed, size):
+    """Three fruit whose reflectance is linear in their ripeness."""
+    rng = np.random.default_rng(seed)
+    instances = np.zeros(size, np.uint16)
+    for number in range(3):
+        instances[2:12, 2 + 10 * number : 10 + 10 * number] = 5 + number
+    ripe = np.zeros(8)
+    ripe[5:] = rng.uniform(0, 1, 3)
+    bands = 0.1 + ripe[instances][..., None] * [0.1, 0.2, 0.5, 0.4, 0.3]
+    return {
+        "instance": instances,
+        "class": np.where(instances > 0, 2, 0).astype(np.uint8),
+        "ripeness": np.where(instances > 0, ripe[instances], np.nan).astype(np.float32),
+        "reflectance": bands.astype(np.float32),
+    }
+
+
+@needs_bands
+def test_the_command_learns_from_the_training_plants(tmp_path):
+    outputs = ("reflectance", "instance", "class", "ripeness")
+    changes = {"plan.select": [0, 1, 2, 3]}
+    folder = painted_set(tmp_path / "set", outputs, paint_fruit, changes, "multispectral").folder
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for index in (2, 3):
+        np.save(mine / f"{index:06d}.npy", open_dataset(folder).image(index, "ripeness") + 0.1)
+    arguments = ["task", "ripeness", str(folder), "--baseline", "pls", "--predictions", str(mine)]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    rows = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()[2:4]}
+    assert rows["pls"] == ["6", "0.000", "0.000", "1.000"]
+    assert rows["mine"][:3] == ["6", "0.100", "0.100"]
+    done = CliRunner().invoke(app, [*arguments[:3], "--baseline", "pri"])
+    assert done.exit_code == EXIT_BAD_INPUT
+    assert "pri: needs a band from 526 to 536 nm" in done.stderr
