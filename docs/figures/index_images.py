@@ -450,6 +450,36 @@ def depth() -> Image.Image:
     return image
 
 
+def bands() -> Image.Image:
+    """False colour with the near infrared, and NDVI, from the picture of the page."""
+    page = np.asarray(Image.open(IMAGES / "bands.jpg").convert("RGB"))
+    image = white()
+    for left, (row, column) in ((0, (0, 1)), (121, (1, 1))):
+        part = page[482 * row + 120 : 482 * row + 460, 642 * column + 160 : 642 * column + 410]
+        image.paste(fill(part, (119, HEIGHT)), (left, 0))
+    return image
+
+
+def bands_notebook() -> Image.Image:
+    """Spectra of leaves, from the picture of the page on bands."""
+    page = Image.open(IMAGES / "band_spectra.png").convert("RGB")
+    image = white()
+    part = page.crop((0, 25, page.width // 2 + 8, page.height))
+    scale = min(WIDTH / part.width, HEIGHT / part.height)
+    part = part.resize((round(part.width * scale), round(part.height * scale)), Image.Resampling.LANCZOS)
+    image.paste(part, ((WIDTH - part.width) // 2, (HEIGHT - part.height) // 2))
+    return image
+
+
+def chemistry() -> Image.Image:
+    """Chlorophyll and leaf age, from the picture of the page."""
+    page = np.asarray(Image.open(IMAGES / "chemistry.jpg").convert("RGB"))
+    image = white()
+    for place, (left, top) in ((0, (467, 38)), (121, (912, 388))):
+        image.paste(fill(page[top : top + 276, left : left + 367], (119, HEIGHT)), (place, 0))
+    return image
+
+
 def cluster() -> Image.Image:
     """A build, its scheduler and workers, and the folder that all of them share."""
     figure, axes = canvas()
@@ -1118,9 +1148,9 @@ def colour() -> Image.Image:
 
 
 PHOTOGRAPHS: Final = (
-    quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, build, camera, visibility,
-    vary, motion, depth, read, learn, export, own_crop, cultivar, outputs, harvest, check, plants, rendering,
-    realism,
+    quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, bands_notebook, build, camera,
+    visibility, vary, motion, depth, bands, chemistry, read, learn, export, own_crop, cultivar, outputs,
+    harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

@@ -20,7 +20,8 @@ class Output:
 
     Attributes:
         name: its name, also that of its folder in a data set.
-        shape: of the array: h rows and w columns; c channels, 3 of a colour sensor and 1 of a monochrome one;
+        shape: of the array: h rows and w columns; c channels, 3 of a colour sensor, 1 of a monochrome one, or
+            its bands;
             H rows and W columns of photosites. Empty for a JSON object.
         dtype: of the array; "dict" for a JSON object.
         description: one line for users.
@@ -47,11 +48,16 @@ class Output:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """Allowed lengths of the third axis; empty if there is no such axis."""
+        """Lengths of the third axis, without those of sensors with bands; empty if there is no such axis."""
         third = re.search(r", (\d+|c)\)$", self.shape)
         if third is None:
             return ()
         return (1, 3) if third[1] == "c" else (int(third[1]),)
+
+    @property
+    def has_channels(self) -> bool:
+        """Whether its third axis has the channels of the sensor."""
+        return self.shape.endswith(", c)")
 
     def fits(self, image: Any) -> bool:
         """Whether an array has this output's type, axes and channels, or an object is one for JSON."""
@@ -59,6 +65,8 @@ class Output:
             return isinstance(image, Mapping)
         if not isinstance(image, np.ndarray) or image.dtype != np.dtype(self.dtype):
             return False
+        if self.has_channels:
+            return image.ndim == 3 and image.shape[2] > 0
         return image.ndim == 3 and image.shape[2] in self.channels if self.channels else image.ndim == 2
 
 
@@ -113,9 +121,60 @@ _ALL: Final = (
         "diffuse reflectance as the camera develops it, linear sRGB; background 0",
         shows_surfaces=True,
     ),
+    Output(
+        "chlorophyll",
+        "(h, w)",
+        "float32",
+        "chlorophyll a and b, ug per cm2 of leaf or skin; nan where none is modelled",
+        shows_surfaces=True,
+    ),
+    Output(
+        "carotenoids",
+        "(h, w)",
+        "float32",
+        "carotenoids, ug per cm2 of leaf or skin; nan where none are modelled",
+        shows_surfaces=True,
+    ),
+    Output(
+        "water",
+        "(h, w)",
+        "float32",
+        "water of blades and petals, g per cm2 or cm of equivalent thickness; nan elsewhere",
+        shows_surfaces=True,
+    ),
+    Output(
+        "ripeness", "(h, w)", "float32", "0 unripe to 1 ripe, of fruit; nan elsewhere", shows_surfaces=True
+    ),
+    Output(
+        "leaf_age",
+        "(h, w)",
+        "float32",
+        "ageing of leaf blades, 0 healthy to 1 dried up; nan elsewhere",
+        shows_surfaces=True,
+    ),
+    Output(
+        "bands", "(h, w, c)", "float32", "electrons of each band, as the sensor measures them", traced=True
+    ),
+    Output(
+        "radiance",
+        "(h, w, c)",
+        "float32",
+        "mean spectral radiance in each band, W m-2 sr-1 nm-1, without noise",
+        traced=True,
+    ),
+    Output(
+        "reflectance",
+        "(h, w, c)",
+        "float32",
+        "measured electrons of each band relative to those of a white reference",
+        traced=True,
+    ),
 )
 OUTPUTS: Final[Mapping[str, Output]] = {output.name: output for output in _ALL}
 """All outputs by name, in canonical order."""
+
+BAND_OUTPUTS: Final = frozenset({"bands", "radiance", "reflectance"})
+"""Outputs that need a sensor with bands."""
 
 STEREO_OUTPUTS: Final = frozenset({"stereo", "colour_stereo"})
 """Outputs that need a stereo camera."""
@@ -123,10 +182,28 @@ STEREO_OUTPUTS: Final = frozenset({"stereo", "colour_stereo"})
 DEPTH_CAMERA_OUTPUTS: Final = frozenset({"depth_sensor", "depth_confidence", "imager_left", "imager_right"})
 """Outputs that need a depth camera."""
 
+TRAIT_OUTPUTS: Final = frozenset({"chlorophyll", "carotenoids", "water", "ripeness", "leaf_age"})
+"""Outputs of what the tissue behind a pixel's centre holds."""
+
+
+COLOUR_OUTPUTS: Final = frozenset({"colour", "raw", "colour_stereo", "albedo"})
+"""Outputs of sensors with colours, or monochrome ones: a sensor with bands has none of them."""
+
 
 def needs_surfaces(names: Iterable[str]) -> bool:
     """Whether one of these outputs needs the spectra of a scene's surfaces."""
     return any(OUTPUTS[name].traced or OUTPUTS[name].shows_surfaces for name in names)
+
+
+def check_band_outputs(names: Iterable[str], sensor: str, *, has_bands: bool) -> None:
+    """Raise `ArgumentError` if an output needs a sensor with bands, or one without."""
+    wrong = (COLOUR_OUTPUTS if has_bands else BAND_OUTPUTS).intersection(names)
+    if wrong and has_bands:
+        others = ", ".join(repr(name) for name in ("electrons", *sorted(BAND_OUTPUTS)))
+        problem = f"{min(wrong)!r} needs a colour or monochrome sensor; {sensor} has bands: use {others}"
+        raise ArgumentError("outputs", problem)
+    if wrong:
+        raise ArgumentError("outputs", f"{min(wrong)!r} needs a sensor with bands, which {sensor} has not")
 
 
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")

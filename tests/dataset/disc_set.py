@@ -12,7 +12,7 @@ from pepperscene.dataset import check_dataset, read_image, write_image
 from pepperscene.dataset.store.atomic import digest, write_json
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
-from pepperscene.frame import Frame
+from pepperscene.frame import TRAIT_OUTPUTS, Frame
 from pepperscene.truth import class_colour, distance_code
 from pepperscene.truth.encodings import encode_rle
 
@@ -79,6 +79,7 @@ class DiscRenderer:
             "imager_right": np.roll(imager, -5, 1),
             "harvest": {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}},
             "albedo": np.clip(grey / 255, 0, 1).astype(np.float16),
+            **{name: np.where(hit, 0.5, np.nan).astype(np.float32) for name in TRAIT_OUTPUTS},
         }  # fmt: skip
         if "amodal" in outputs:
             images["amodal"] = {"format": "pepperscene amodal 1", "organs": whole_discs(instance, classes)}

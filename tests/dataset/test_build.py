@@ -21,7 +21,7 @@ from pepperscene.dataset.execution.build import Throughput
 from pepperscene.dataset.store.atomic import temporary_path
 from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.errors import InputError, OutputError, SetupError
-from pepperscene.frame import DEFAULT_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS
+from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
 
@@ -36,8 +36,8 @@ def make(build_small, fake_renderer):
 
 
 def test_data_set_has_one_file_per_frame_and_output(make, tmp_path):
-    # The recipe has no depth camera.
-    outputs = [name for name in OUTPUTS if name not in DEPTH_CAMERA_OUTPUTS]
+    # The recipe has no depth camera and no bands.
+    outputs = [name for name in OUTPUTS if name not in DEPTH_CAMERA_OUTPUTS | BAND_OUTPUTS]
     result = make(frames="5:7", outputs=outputs)
     assert result.made == (5, 6)
     names = {"dataset.json", "frames/000005.json", "frames/000006.json"}

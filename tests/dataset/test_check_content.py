@@ -76,7 +76,8 @@ def test_finds_encodings_that_do_not_match(folder):
         ("electrons", np.inf), ("albedo", np.nan), ("albedo", np.inf),
         ("position", np.nan), ("position", 0.0), ("uv", 1.5), ("uv", -1.0),
         ("uv", np.nan), ("coverage", 0.5), ("coverage", -1.0), ("coverage", np.nan), ("raw", 1024),
-        ("flow", 1.0), ("stereo", np.nan),
+        ("flow", 1.0), ("stereo", np.nan), ("chlorophyll", -1.0), ("carotenoids", np.inf), ("water", -0.1),
+        ("ripeness", 1.1), ("leaf_age", 1.1),
     ],
 )  # fmt: skip
 def test_finds_impossible_value(full_folder, output, value):

@@ -97,6 +97,8 @@ def test_objects_must_be_valid_json(tmp_path):
         ("depth_confidence", ["depth_confidence"]),
         ("electrons", ["R", "G", "B"]),
         ("albedo", ["R", "G", "B"]),
+        ("chlorophyll", ["chlorophyll"]),
+        ("leaf_age", ["leaf_age"]),
         ("normal", ["X", "Y", "Z"]),
         ("position", ["X", "Y", "Z"]),
         ("uv", ["U", "V"]),

@@ -28,7 +28,8 @@ from pepperscene.truth.encodings import encode_rle
 
 SIZE = (12, 16)
 OUTPUTS = ("colour", "class", "instance", "distance", "distance_code", "depth_sensor", "harvest")
-PAINTED = [name for name in FORMATS if name not in ("bop", "rerun")]  # these need plants, and a large package
+LEFT_OUT = ("bop", "envi", "npy", "rerun")  # these need plants, bands, and a large package
+PAINTED = [name for name in FORMATS if name not in LEFT_OUT]
 FILES = ("dataset.json", "frames/000000.json", "harvest/000000.json")
 REMOVED = object()
 DEEP = [[]]

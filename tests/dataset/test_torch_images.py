@@ -480,7 +480,7 @@ def test_memory_does_not_grow_with_epochs(tmp_path):
     [
         (
             {"keys": ()},
-            "keys: must be some of image, mask, instances, distance, depth_z, depth_sensor, not none",
+            "keys: must be some of image, mask, .*, depth_z, depth_sensor, chlorophyll, .*, not none",
         ),
         ({"keys": "depth"}, "keys: must be some of .*, not depth"),
         ({"keys": ("image", "name")}, "keys: must be some of .*, not name"),

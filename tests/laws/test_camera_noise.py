@@ -16,7 +16,8 @@ from pepperscene.camera import Camera, Developing, camera_rgb, load_flash, load_
 from pepperscene.camera.readout import shot_noise
 from pepperscene.shipped import shipped_folder
 
-SENSORS = sorted(path.stem for path in (shipped_folder("materials") / "sensors").glob("*.toml"))
+SHIPPED = sorted(path.stem for path in (shipped_folder("materials") / "sensors").glob("*.toml"))
+SENSORS = [n for n in SHIPPED if load_sensor(n).pattern != "bands"]  # without bands, which have no mosaic
 AVERAGED = [n for n in SENSORS if load_sensor(n).channels == 1 or load_sensor(n).binning > 1]
 LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
 SIGMAS = 5.0

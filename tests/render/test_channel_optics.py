@@ -12,11 +12,12 @@ from pepperscene.camera import Camera
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.render.kernel.camera import spectral_response
-from pepperscene.render.surface.optics import STEP_NM, Optics
+from pepperscene.render.surface.body import BodyPlace
+from pepperscene.render.surface.optics import STEP_NM, Optics, _between_states
 from pepperscene.render.transport import lights
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
-from pepperscene.render.transport.trace import sum_samples
+from pepperscene.render.transport.wavefront import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 NM = np.arange(360.0, 831.0, 5.0)
@@ -46,7 +47,9 @@ def channel_colours(surfaces: list[Surface], weights: np.ndarray) -> np.ndarray:
     optics = Optics.pack(surfaces, GRID[0], GRID[-1]).by_channel(weights)
     surface, state = (part.ravel() for part in np.meshgrid(np.arange(len(surfaces)), STATES, indexing="ij"))
     body = dr.gather(mi.Vector4f, optics.bodies, mi.UInt32(surface.astype(np.uint32)))
-    parts = optics._body(None, body, mi.Float(state.astype(np.float32)), mi.Bool(True))
+    between = _between_states(body, mi.Float(state.astype(np.float32)))
+    place = BodyPlace(*between, body.w, 0.0, 0.0, True, 1.0)
+    parts = optics._body(place, optics._columns(None), mi.Bool(True))
     return np.array([np.asarray(part).T.reshape(len(surfaces), STATES.size, -1) for part in parts[:3]])
 
 
@@ -139,7 +142,7 @@ def test_light_by_channel_equals_light_at_wavelengths(flash, monkeypatch):
         samples.next_2d = replay.next
         by_channel = first_hit_light(tables, samples, None)
         replay.rewind()
-        return [*by_channel, *first_hit_light(tables, samples, wavelengths)]
+        return [[*by_channel, *first_hit_light(tables, samples, wavelengths)]]
 
     # (runs, 6, pixels)
     runs = np.array([sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(24)])

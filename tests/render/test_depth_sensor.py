@@ -124,5 +124,6 @@ import sys
 import pepperscene.camera, pepperscene.render.renderer, pepperscene.dataset
 pepperscene.dataset.load_recipe("realsense_depth")
 assert "cv2" not in sys.modules and "pepperscene.render.depth_sensor" not in sys.modules
+assert "pepperscene.render.aov.traits" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)

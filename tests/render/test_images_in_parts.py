@@ -11,7 +11,7 @@ from greenhouse import camera, cloudy_sky, greenhouse
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 
-OUTPUTS = ["colour", "electrons", "uv"]
+OUTPUTS = ["colour", "electrons", "uv", "chlorophyll"]
 
 
 @pytest.mark.slow
@@ -25,7 +25,11 @@ def test_images_do_not_depend_on_the_size_of_their_parts(monkeypatch):
         return Renderer(scene).render(camera(columns=80, rows=60), OUTPUTS, "standard", 5)
 
     whole = frame()
-    parts = {"aov.labels": "_UV_PIXELS", "transport.adaptive": "_ROWS_PIXELS", "transport.trace": "_LANES"}
+    parts = {
+        "aov.labels": "_UV_PIXELS",
+        "transport.adaptive": "_ROWS_PIXELS",
+        "transport.wavefront": "_LANES",
+    }
     for module, constant in parts.items():
         monkeypatch.setattr(importlib.import_module(f"pepperscene.render.{module}"), constant, 7 * 80 + 3)
     divided = frame()

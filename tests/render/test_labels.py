@@ -9,7 +9,7 @@ from bodies import body
 from greenhouse import camera, row_of_plants
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.frame import OUTPUTS
+from pepperscene.frame import OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render.aov import labels
 from pepperscene.render.aov.labels import Hits
 from pepperscene.render.kernel.camera import camera_rays
@@ -17,7 +17,7 @@ from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
 # These need more rays, or other cameras.
-ELSEWHERE = ("coverage", "flow", "stereo", "harvest", "amodal", "albedo")
+ELSEWHERE = ("coverage", "flow", "stereo", "harvest", "amodal", "albedo", *TRAIT_OUTPUTS)
 LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced and name not in ELSEWHERE)
 
 

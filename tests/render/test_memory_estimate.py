@@ -69,6 +69,7 @@ def test_memory_grows_with_triangles_outputs_and_photosites(camera):
         ((3840, 2160), ("flow", "stereo"), "draft", 2497),
         ((3840, 2160), ("albedo",), "draft", 1254),
         ((3840, 2160), ("amodal",), "draft", 988),
+        ((3840, 2160), ("chlorophyll", "carotenoids", "water", "ripeness", "leaf_age"), "draft", 2151),
     ],
 )
 def test_estimates_agree_with_measured_peaks(camera, size, outputs, quality, measured_mb, monkeypatch):

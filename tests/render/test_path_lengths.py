@@ -54,7 +54,7 @@ def test_lossless_box_is_as_bright_as_the_sky_only_with_long_paths():
 
 def test_loop_follows_the_same_paths_as_without_it(monkeypatch):
     # With the same Russian roulette, eight bounces are the same light, in a loop of the kernel or not.
-    monkeypatch.setattr(trace_module, "_LONG_ROULETTE", trace_module._ROULETTE)
+    monkeypatch.setattr(trace_module, "LONG_ROULETTE", trace_module.ROULETTE)
     scene, view = greenhouse(), camera(flash=False)
     without, looped = (electrons(scene, view, plain(*lengths, 4)) for lengths in ((8, 0), (2, 8)))
     np.testing.assert_allclose(looped, without, rtol=1e-3, atol=1e-5 * without.max())

@@ -12,13 +12,14 @@ from processes import run_python
 
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.render import QUALITIES, Renderer, find_quality, kernel_scene, render_scene, renderer
 from pepperscene.render.aov import labels
 from pepperscene.render.reference.path_tracer import path_traced, samples_taken
 from pepperscene.scene import assemble_scene
 
-ALL = tuple(name for name in OUTPUTS if name != "harvest")  # which needs the plants' skeleton
+# Harvest needs the plants' skeleton, and bands another sensor.
+ALL = tuple(name for name in OUTPUTS if name != "harvest" and name not in BAND_OUTPUTS)
 LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced)
 IMAGERS = ("imager_left", "imager_right")
 
@@ -230,6 +231,11 @@ def test_labels_trace_no_light(scene, calls):
 def test_albedo_needs_surfaces_and_no_light(scene, calls):
     Renderer(scene).render(camera(), ["albedo"])
     assert sorted(calls) == ["first_hits", "instance_ids", "light_scene"]
+
+
+def test_traits_trace_no_light(scene, calls):
+    Renderer(scene).render(camera(), ["chlorophyll", "leaf_age"])
+    assert sorted(calls) == ["first_hits", "instance_ids", "truth_scene"]
 
 
 def test_distance_computes_no_classes_and_normals(scene, calls):

@@ -7,7 +7,8 @@ from pepperscene.camera.auto_exposure import (
     metering_camera,
     with_exposure,
 )
-from pepperscene.camera.camera import Camera, expected_electrons, relative_illumination
+from pepperscene.camera.bands import Band
+from pepperscene.camera.camera import Camera, electrons_per_light, expected_electrons, relative_illumination
 from pepperscene.camera.depth_alignment import align_depth
 from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
 from pepperscene.camera.developing import (
@@ -18,6 +19,7 @@ from pepperscene.camera.developing import (
     decode_tone,
     develop,
     encode_tone,
+    measured_electrons,
     pedestal,
     raw_frame,
     reference_correction,
@@ -38,9 +40,11 @@ from pepperscene.camera.sensor import Filter, Sensor
 from pepperscene.camera.sensor_files import load_filter, load_sensor
 from pepperscene.camera.stereo_matching import MatchedDepth, match_depth
 from pepperscene.camera.stray_light import Ghost, StrayLight
+from pepperscene.camera.white_reference import WhiteReference
 
 __all__ = [
     "AngularProfile",
+    "Band",
     "Camera",
     "ChosenExposure",
     "DepthCamera",
@@ -62,6 +66,7 @@ __all__ = [
     "StereoMatching",
     "StrayLight",
     "Trajectory",
+    "WhiteReference",
     "add_pedestal",
     "add_stray_light",
     "align_depth",
@@ -72,6 +77,7 @@ __all__ = [
     "correct_colours",
     "decode_tone",
     "develop",
+    "electrons_per_light",
     "encode_tone",
     "expected_electrons",
     "grid_poses",
@@ -82,6 +88,7 @@ __all__ = [
     "load_sensor",
     "look_at",
     "match_depth",
+    "measured_electrons",
     "metering_camera",
     "pedestal",
     "protocol_poses",

@@ -54,8 +54,10 @@ class ExposureControl:
     gain is the camera's own.
 
     Attributes:
-        target_grey: mean of the 8-bit codes of the developed image, over pixels and colours, in (0, 255].
-            The default is chosen: near the middle of the codes, with a margin for highlights.
+        target_grey: mean of the 8-bit codes of the developed image, over pixels and colours, in (0, 255];
+            of a sensor with bands, which develops no image, 255 times the mean signal as a fraction of full
+            scale, over pixels and bands. The default is chosen: near the middle of the codes, with a margin
+            for highlights.
         shortest_s, longest_s: range of exposure times. The defaults are chosen: electronic shutters are
             rarely faster than 10 us, and in 10 ms a camera at walking pace moves by a centimetre.
         most_gain: highest gain of the sensor's amplifier, at least 1. The default is chosen: 12 dB.
@@ -192,7 +194,7 @@ def metering_camera(camera: Camera, size: tuple[int, int] | None = None) -> Came
 @lru_cache(maxsize=8)
 def _metering_sensor(sensor: Sensor, columns: int, rows: int) -> Sensor:
     """One sensor for all frames, so that what is computed once per sensor is."""
-    binning = 1 if sensor.channels == 1 else 2
+    binning = 1 if sensor.pattern in ("mono", "bands") else 2
     pitch_m = sensor.pixel_pitch_m * min(sensor.columns / columns, sensor.rows / rows) / binning
     return dataclasses.replace(
         sensor, columns=columns, rows=rows, binning=binning, pitch_m=pitch_m, reduction=None
@@ -250,8 +252,12 @@ def _mean_grey(camera: Camera, daylight: Floats, flash: Floats, metering: Meteri
         electrons = factor * (daylight * exposure_s + flashed)
         sensor = small.sensor if gain == small.sensor.gain else small.sensor.with_settings(gain=gain)
         used = dataclasses.replace(small, sensor=sensor)
-        linear = np.clip(correct_colours(camera_rgb(electrons, used), used), 0.0, 1.0)
-        codes = srgb_encode(linear) if developing.tone == "srgb" else linear
+        linear = camera_rgb(electrons, used)
+        if sensor.pattern != "bands":
+            linear = correct_colours(linear, used)
+        linear = np.clip(linear, 0.0, 1.0)
+        is_curved = developing.tone == "srgb" and sensor.pattern != "bands"
+        codes = srgb_encode(linear) if is_curved else linear
         return 255.0 * float((weights * codes).sum(dtype=np.float64)) / codes.shape[-1]
 
     return grey_at

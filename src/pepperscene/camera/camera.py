@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.flash import Flash
 from pepperscene.camera.lens import Lens
+from pepperscene.camera.line_scanner import crossing_times
 from pepperscene.camera.motion import Motion
 from pepperscene.camera.pixel_rays import (
     centre_directions,
@@ -78,6 +79,8 @@ class Camera:
         if self.focus_m is not None and not self.lens.focal_length_m < self.focus_m < math.inf:
             allowed = f"must be finite and beyond the focal length of {self.lens.focal_length_m:g} m"
             raise InputError(self.lens.name, allowed, key="focus_m", value=self.focus_m)
+        if self.sensor.line_scan and not (self.exposure_s <= self.sensor.line_time_s and self.labels_per_row):
+            raise ValueError("the rows of a line scanner are exposed one after the other, labels as well")
         pose.setflags(write=False)
         object.__setattr__(self, "pose", pose)
         check_field(self.lens, self.sensor)
@@ -144,7 +147,8 @@ class Camera:
     def ray_slopes(self) -> NDArray[np.float64]:
         """`(h + 1, w + 1, 2)` undistorted slopes (x/z, y/z) of the rays through the pixel corners.
 
-        Read-only and shared by all cameras with this lens and sensor.
+        Those of a line scanner are the same in all rows: `(2, w + 1, 2)`. Read-only and shared by all cameras
+        with this lens and sensor.
         """
         return pixel_slopes(self.lens, self.sensor, 0.0)
 
@@ -156,13 +160,17 @@ class Camera:
         """Pixel coordinates (u, v), `(n, 2)`, of world points `(n, 3)`, inside the image or not.
 
         nan for points behind the camera, and for those so far off the axis that the distortion would fold
-        them back into the image.
+        them back into the image. The row of a line scanner is when its line sees the point: nan if it never
+        does.
         """
         points = np.asarray(points_world, dtype=float).reshape(-1, 3)
         if self.rows_move:
             # In parts that stay in the processor's cache: three times as fast, and in little memory.
             parts = np.array_split(points, len(points) // _POINTS + 1)
-            return np.concatenate([self._project_rows(part) for part in parts])
+            project = self._project_lines if self.sensor.line_scan else self._project_rows
+            return np.concatenate([project(part) for part in parts])
+        if self.sensor.line_scan:
+            return np.full((len(points), 2), np.nan)
         return self._image_points(self.pose[:3, :3].T @ (points - self.pose[:3, 3]).T)
 
     def _image_points(self, points_camera: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -173,7 +181,7 @@ class Camera:
         slopes = np.stack([x / depth_z, y / depth_z], axis=-1)
         valid = in_front & (np.hypot(slopes[:, 0], slopes[:, 1]) < self.lens.distortion.fold_radius)
         slopes[~valid] = np.nan
-        matrix = self.intrinsics
+        matrix = intrinsics_matrix(self.lens, self.sensor.line if self.sensor.line_scan else self.sensor)
         with np.errstate(over="ignore", invalid="ignore"):  # points very close to the camera's plane
             return self.lens.distortion.distort(slopes) * matrix[[0, 1], [0, 1]] + matrix[:2, 2]
 
@@ -202,6 +210,16 @@ class Camera:
                     break
         return pixels
 
+    def _project_lines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixel coordinates `(n, 2)` of world points in the image of a line scanner."""
+        motion, line_time_s = self.motion or Motion(), self.sensor.line_time_s
+        matrix = intrinsics_matrix(self.lens, self.sensor.line)
+        times = crossing_times(points, self.pose, motion, matrix, self._image_points, line_time_s)
+        pixels = self._image_points(motion.to_camera(self.pose, points, times).T)
+        pixels[:, 1] = times / line_time_s + 0.5 * self.height
+        pixels[np.isnan(pixels).any(axis=1)] = np.nan
+        return pixels
+
     def metadata(self) -> dict[str, Any]:
         """JSON-ready description."""
         matrix, sensor = self.intrinsics, self.sensor
@@ -211,6 +229,10 @@ class Camera:
             mode = {"reduction": float(sensor.reduction), "site_shape": list(sensor.site_shape)}
         if sensor.line_time_s > 0:
             mode["line_time_s"] = float(sensor.line_time_s)
+        if sensor.line_scan:
+            mode["line_scan"] = True
+        if sensor.pattern == "bands":
+            mode["bands"] = [band.to_json() for band in sensor.bands]
         described = {
             "pose": self.pose.tolist(),
             "fx": float(matrix[0, 0]),
@@ -286,10 +308,15 @@ def expected_electrons(signal: ArrayLike, camera: Camera) -> NDArray[np.float64]
         ValueError: the signal does not have the image's shape.
     """
     light = np.asarray(signal, dtype=float)
-    lens, sensor = camera.lens, camera.sensor
-    shape = (camera.height, camera.width, sensor.channels)
+    shape = (camera.height, camera.width, camera.sensor.channels)
     if light.shape != shape:
         raise ValueError(f"a signal must have the shape {shape}, not {light.shape}")
+    return light * electrons_per_light(camera)[..., None]
+
+
+def electrons_per_light(camera: Camera) -> NDArray[np.float64]:
+    """`(h, w)` factor of each pixel from light to electrons; see `expected_electrons`."""
+    lens, sensor = camera.lens, camera.sensor
     solid_angle = math.pi / (4 * lens.f_number**2) / lens.fy_over_fx
     on_axis = sensor.pitch_m**2 * camera.exposure_s * solid_angle * lens.transmittance
-    return light * (on_axis * relative_illumination(camera))[..., None]
+    return np.asarray(on_axis * relative_illumination(camera))

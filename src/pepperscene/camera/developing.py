@@ -14,6 +14,7 @@ from pepperscene.camera.colorimetry import d65_spectrum, srgb_decode, srgb_encod
 from pepperscene.camera.colour_correction import ColourCorrection, colour_correction, white_balance_gains
 from pepperscene.camera.readout import (
     LARGEST_PEDESTAL,
+    Developing,
     Floats,
     Tone,
     average_areas,
@@ -21,6 +22,7 @@ from pepperscene.camera.readout import (
     demosaic_image,
     read_out,
 )
+from pepperscene.camera.sensor import Sensor
 from pepperscene.spectra import Spectrum
 
 AUTO_PEDESTAL: Final = 0.7
@@ -32,7 +34,7 @@ asks for 2.6 in raw frames, so that 0.5 % of the numbers are clipped."""
 def develop(
     electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None
 ) -> NDArray[np.uint8]:
-    """The developed image, `(h, w, 3)` uint8; grey from a monochrome sensor.
+    """The developed image, `(h, w, 3)` uint8; grey from a monochrome sensor. Sensors with bands have none.
 
     It is made from the mosaic that `raw_frame` returns for a generator in the same state.
 
@@ -43,8 +45,8 @@ def develop(
         rng: draws the noise; None leaves it out.
 
     Raises:
-        ValueError: the electrons have the wrong shape or are not finite, or the white balance needs a flash
-            that the camera does not have.
+        ValueError: the electrons have the wrong shape or are not finite, the white balance needs a flash
+            that the camera does not have, or the sensor has bands.
         InputError: the sensor cannot distinguish colours under the reference light.
     """
     linear = add_pedestal(correct_colours(camera_rgb(electrons, camera, rng), camera), camera)
@@ -60,23 +62,52 @@ def raw_frame(
     Always quantised and limited to the converter's range, whatever `developing` leaves out for the image.
     Arguments and errors are those of `develop`.
     """
+    _check_has_mosaic(camera)
     developing = dataclasses.replace(camera.developing, quantise=True, saturation=True)
     return read_out(_check_electrons(electrons, camera), camera.sensor, rng, developing).astype(np.uint16)
 
 
+def measured_electrons(
+    electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None
+) -> Floats:
+    """`(h, w, c)` electrons as the sensor measures them: with its noise, full well, gain and converter.
+
+    They are digital numbers without the black level, times `Sensor.gain_e_per_dn`, as means over the
+    photosites of each pixel; noise can make them slightly negative. Arguments and errors are those of
+    `camera_rgb`.
+    """
+    sensor = camera.sensor
+    return camera_rgb(electrons, camera, rng) * np.float32(sensor.full_well_e / sensor.gain)
+
+
 def camera_rgb(electrons: ArrayLike, camera: Camera, rng: np.random.Generator | None = None) -> Floats:
     """`(h, w, c)` linear device colour of the image pixels: black is 0, full scale is 1.
+
+    The bands of a sensor with bands are read out one after the other, each as a monochrome image.
 
     Noise can make values slightly negative, or, by demosaicing, above 1; without saturation far above 1.
 
     Raises:
         ValueError: as `develop`.
     """
-    sensor, developing = camera.sensor, camera.developing
-    sites = read_out(_check_electrons(electrons, camera), sensor, rng, developing)
+    sensor, expected = camera.sensor, _check_electrons(electrons, camera)
+    if sensor.pattern != "bands":
+        return _read_pixels(expected, sensor, rng, camera.developing)
+    pixels = np.empty(expected.shape, np.float32)
+    for number in range(sensor.channels):
+        band = slice(number, number + 1)
+        pixels[..., band] = _read_pixels(expected[..., band], sensor, rng, camera.developing)
+    return pixels
+
+
+def _read_pixels(
+    expected: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator | None, developing: Developing
+) -> Floats:
+    """Pixels of a Bayer or monochrome sensor, or of one band `(h, w, 1)`; see `camera_rgb`."""
+    sites = read_out(expected, sensor, rng, developing)
     sites -= np.float32(sensor.black_level_dn)
     sites /= np.float32(sensor.full_scale_dn - sensor.black_level_dn)
-    if sensor.channels == 3 and sensor.binning == 1:
+    if sensor.pattern not in ("mono", "bands") and sensor.binning == 1:
         return average_areas(demosaic_image(sites, sensor.pattern, developing.demosaic), sensor)
     if sensor.reduction is not None:
         return average_areas(sites[..., None], sensor)
@@ -90,10 +121,10 @@ def correct_colours(rgb: Floats, camera: Camera) -> Floats:
     the sensor's limit times that gain. So gains k times as large give an image k times as bright, clipped
     light included, and with a smallest gain below 1 overexposed white stays below 1.
 
-    Monochrome camera_rgb `(h, w, 1)` passes through. Raises as `colour_transform`.
+    Monochrome camera_rgb `(h, w, 1)` passes through. Raises as `colour_transform`, also for bands.
     """
     sensor, developing = camera.sensor, camera.developing
-    if sensor.channels == 1:
+    if sensor.pattern == "mono":
         return rgb
     gains, matrix = colour_transform(camera)
     if developing.white_balance is not None:
@@ -112,7 +143,7 @@ def colour_transform(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.fl
     ones, or the identity, if the step is left out. Clipping is not included.
 
     Raises:
-        ValueError: the sensor is monochrome, or the white balance needs a missing flash.
+        ValueError: the sensor is monochrome or has bands, or the white balance needs a missing flash.
         InputError: the sensor cannot distinguish colours under the reference light.
     """
     _check_has_colours(camera)
@@ -155,7 +186,7 @@ def pedestal(camera: Camera) -> float:
     sensor, developing = camera.sensor, camera.developing
     if developing.pedestal != "auto":
         return float(developing.pedestal)
-    if sensor.channels == 1:
+    if sensor.pattern in ("mono", "bands"):
         return 0.0
     variance = sensor.read_noise_e**2 if developing.read_noise else 0.0
     variance += sensor.gain_e_per_dn**2 / 12.0 if developing.quantise else 0.0
@@ -203,21 +234,31 @@ def reference_correction(camera: Camera) -> ColourCorrection:
 def reference_light(camera: Camera) -> Spectrum:
     """The light whose white the camera shows as white: that of the white balance.
 
-    If the white balance names none, and for a monochrome sensor, it is the flash, or daylight (CIE D65)
-    without a flash.
+    If the white balance names none, and for a sensor that is monochrome or has bands, it is the flash, or
+    daylight (CIE D65) without a flash.
 
     Raises:
         ValueError: the white balance needs a missing flash.
     """
-    balance = camera.developing.white_balance if camera.sensor.channels == 3 else None
+    has_colours = camera.sensor.pattern not in ("mono", "bands")
+    balance = camera.developing.white_balance if has_colours else None
     if balance == "flash" and camera.flash is None:
         raise ValueError('white balance "flash" needs a flash; choose "daylight"')
     return d65_spectrum() if balance == "daylight" or camera.flash is None else camera.flash.spectrum
 
 
 def _check_has_colours(camera: Camera) -> None:
-    if camera.sensor.channels == 1:
+    _check_has_mosaic(camera)
+    if camera.sensor.pattern == "mono":
         raise ValueError(f"{camera.sensor.name} is monochrome: it has no colours to correct")
+
+
+def _check_has_mosaic(camera: Camera) -> None:
+    """Whether the photosites make one image, of colours or of grey."""
+    if camera.sensor.pattern == "bands":
+        raise ValueError(
+            f"{camera.sensor.name} has bands: it makes no colour image, but electrons of each band"
+        )
 
 
 def _check_electrons(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:

@@ -59,6 +59,9 @@ def check_field(lens: Lens, sensor: Sensor) -> None:
     Raises:
         InputError: the lens and the sensor do not fit together.
     """
+    if sensor.line_scan:
+        check_field(lens, sensor.line)
+        return
     value = 1e3 * lens.focal_length_m
     focal_px = lens.focal_length_m / sensor.pixel_pitch_m * max(lens.fy_over_fx, 1.0)
     if focal_px > _MAX_FOCAL_PX:
@@ -80,7 +83,12 @@ def check_field(lens: Lens, sensor: Sensor) -> None:
 
 @lru_cache(maxsize=8)
 def pixel_slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64]:
-    """Undistorted slopes of pixel corners `(h + 1, w + 1, 2)`, shift 0, or centres `(h, w, 2)`, shift 0.5."""
+    """Undistorted slopes of pixel corners `(h + 1, w + 1, 2)`, shift 0, or centres `(h, w, 2)`, shift 0.5.
+
+    Those of a line scanner are the same in all rows of its image, and returned for one: h is 1.
+    """
+    if sensor.line_scan:
+        return pixel_slopes(lens, sensor.line, shift)
     extra = 1 if shift == 0 else 0
     u, v = np.arange(sensor.columns + extra) + shift, np.arange(sensor.rows + extra) + shift
     slopes = _undistorted_slopes(lens, sensor, u, v)
@@ -95,4 +103,7 @@ def centre_directions(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     directions = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     directions.setflags(write=False)
-    return directions
+    # The line of a line scanner looks in the same directions at all times.
+    return (
+        np.broadcast_to(directions, (sensor.rows, *directions.shape[1:])) if sensor.line_scan else directions
+    )

@@ -136,8 +136,9 @@ def read_out(
 ) -> Floats:
     """`(site rows, site columns)` digital numbers of the mosaic, black level included.
 
-    `expected`, `(h, w, c)`, are the mean electrons of a photosite of each colour, at least 0. Without a
-    generator there is no noise. The random numbers do not depend on saturation and quantisation.
+    `expected`, `(h, w, c)`, are the mean electrons of a photosite of each colour, at least 0; of a sensor
+    with bands, those of one of them, `(h, w, 1)`. Without a generator there is no noise. The random numbers
+    do not depend on saturation and quantisation.
     """
     sites = spread_to_photosites(np.minimum(expected, _MAX_ELECTRONS), sensor)
     height = max(_STRIP // sites.shape[1], 1)
@@ -188,7 +189,7 @@ def spread_to_photosites(pixels: NDArray[np.floating], sensor: Sensor) -> Floats
             plane = down.spread(pixels[..., channel], 0)[row::2]
             sites[row::2, column::2] = right.spread(plane, 1)[:, column::2]
         return sites
-    if sensor.pattern == "mono":
+    if sensor.pattern in ("mono", "bands"):
         sites[:] = _upscale(pixels[..., 0], sensor.binning)
         return sites
     for row, column, channel in _quad_sites(sensor):
@@ -209,7 +210,7 @@ def average_areas(colours: Floats, sensor: Sensor) -> Floats:
 
 def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
     """`(h, w, c)` means over each pixel's photosites of a colour, for sensors that need no demosaicing."""
-    if sensor.pattern == "mono":
+    if sensor.pattern in ("mono", "bands"):
         return _block_means(sites, sensor.binning)[..., None]
     pixels = np.zeros((sensor.rows, sensor.columns, 3), np.float32)
     for row, column, channel in _quad_sites(sensor):
@@ -220,7 +221,7 @@ def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
 
 def _quad_sites(sensor: Sensor) -> Iterator[tuple[int, int, int]]:
     """Row, column and channel of the four photosites of a quad."""
-    letters = "rrrr" if sensor.pattern == "mono" else sensor.pattern
+    letters = "rrrr" if sensor.pattern in ("mono", "bands") else sensor.pattern
     for position, letter in enumerate(letters):
         yield position // 2, position % 2, "rgb".index(letter)
 

@@ -1,19 +1,21 @@
-"""The image sensor: Bayer or monochrome photosites, and the filter in front of them."""
+"""The image sensor: Bayer or monochrome photosites, or bands, and the filter in front of them."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.area_average import AreaAverage
+from pepperscene.camera.bands import Band, describe_bands
 from pepperscene.spectra import Spectrum, photons_per_joule
 
-Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono"]
+Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono", "bands"]
 _BAYER: Final[tuple[Pattern, ...]] = ("rggb", "bggr", "grbg", "gbrg")
 MAX_BITS: Final = 16  # digital numbers are stored in 16 bits
 
@@ -26,23 +28,29 @@ class Sensor:
     means of its photosites of that colour, without interpolation. With a binning of 1, every photosite is a
     pixel, and its two other colours are demosaiced. On a monochrome sensor, a pixel is the mean of its block.
     With a `reduction`, all photosites are read out and demosaiced, and a pixel is the mean over its area.
+    A sensor with bands has all of them in every pixel, as a filter wheel, a lens for each band, or a line
+    scanner gives them: each band is an image of its own, as of a monochrome sensor.
 
     Attributes:
         columns, rows: size of the image.
         pitch_m: pitch of the photosites.
         quantum_efficiency: `(c, n)` photo-electrons per incident photon (the spectral response functions,
-            SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, or 1.
+            SRF), with any filter that belongs to the sensor; c = 3 for red, green and blue photosites, 1, or
+            any number of bands.
         full_well_e: electrons at which a photosite is full.
         read_noise_e: temporal dark noise of one photosite (standard deviation), in electrons, at every gain.
         bits: resolution of the analogue-to-digital converter, 1 to 16.
         black_level_dn: digital number of a dark photosite.
         binning: photosites per pixel and direction: 1 or even on Bayer sensors, any on monochrome ones.
-        pattern: colours of the upper left quad, row by row; "mono" if and only if c is 1.
+        pattern: colours of the upper left quad, row by row; "mono" for a single channel, or "bands".
         gain: gain of the amplifier; at 1 a full well reaches full scale, at 2 half a full well does.
         reduction: photosites per pixel and direction of a mode that averages areas, at least 1, with a
             binning of 1; None: `binning` decides.
         line_time_s: time from the exposure of one row of the image to that of the next one below, of a
-            rolling shutter; 0: all rows are exposed together.
+            rolling shutter or a line scanner; 0: all rows are exposed together.
+        band_names: of the channels of a sensor with bands; empty for none.
+        line_scan: whether it is a line scanner (push broom): it has a single line of photosites, and each row
+            of the image is that line at another time.
     """
 
     name: str
@@ -59,12 +67,16 @@ class Sensor:
     gain: float = 1.0
     reduction: Fraction | None = None
     line_time_s: float = 0.0
+    band_names: tuple[str, ...] = ()
+    line_scan: bool = False
 
     def __post_init__(self) -> None:
         qe = self.quantum_efficiency.values
-        if qe.ndim != 2 or len(qe) not in (1, 3) or not (qe.min() >= 0 and qe.max() <= 1):
-            raise ValueError(f"{self.name}: quantum efficiency must be (3, n) or (1, n) within [0, 1]")
-        if self.pattern not in (*_BAYER, "mono") or (self.pattern == "mono") != (len(qe) == 1):
+        if qe.ndim != 2 or not (qe.min() >= 0 and qe.max() <= 1):
+            raise ValueError(f"{self.name}: quantum efficiency must be (c, n) within [0, 1]")
+        if self.pattern != "bands" and (
+            self.pattern not in (*_BAYER, "mono") or len(qe) != (1 if self.pattern == "mono" else 3)
+        ):
             raise ValueError(f"{self.name}: pattern {self.pattern!r} does not match {len(qe)} colours")
         error = binning_error(self.pattern, self.binning, self.columns, self.rows, self.reduction)
         if error:
@@ -80,10 +92,16 @@ class Sensor:
             raise ValueError(f"{self.name}: black level must be in [0, {self.full_scale_dn})")
         if not 0 < self.gain < np.inf:
             raise ValueError(f"{self.name}: gain must be positive")
+        if self.band_names and len(self.band_names) != len(qe):
+            raise ValueError(f"{self.name}: {len(qe)} bands need as many names")
+        if self.line_scan and not (self.pattern in ("mono", "bands") and self.line_time_s > 0):
+            raise ValueError(
+                f"{self.name}: a line scanner needs a time from row to row, and no Bayer pattern"
+            )
 
     @property
     def channels(self) -> int:
-        """Number of colours of its photosites: 3, or 1 on a monochrome sensor."""
+        """Number of colours of its photosites: 3, or 1 on a monochrome sensor; or of its bands."""
         return len(self.quantum_efficiency.values)
 
     @property
@@ -125,11 +143,27 @@ class Sensor:
         """
         if self.areas is not None:
             count = self.areas[0].count * self.areas[1].count
-            return (count,) if self.channels == 1 else tuple(max(count * n / 4, 1.0) for n in (1, 2, 1))
-        if self.channels == 1:
-            return (self.binning**2,)
+            if self.pattern in ("mono", "bands"):
+                return (count,) * self.channels
+            return tuple(max(count * n / 4, 1.0) for n in (1, 2, 1))
+        if self.pattern in ("mono", "bands"):
+            return (self.binning**2,) * self.channels
         quads = max(self.binning // 2, 1) ** 2
         return quads, 2 * quads if self.binning > 1 else 1, quads
+
+    @cached_property
+    def line(self) -> Sensor:
+        """The line of photosites of a line scanner, as a sensor with a single row."""
+        return dataclasses.replace(self, rows=1, line_scan=False)
+
+    @cached_property
+    def bands(self) -> tuple[Band, ...]:
+        """The bands of its channels, by their response with any filter.
+
+        Raises:
+            ValueError: a channel detects no light.
+        """
+        return describe_bands(self.quantum_efficiency, self.band_names)
 
     def electrons_per_joule(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """`(c, n)` photo-electrons per joule of light on a photosite: QE lambda / (h c)."""
@@ -153,11 +187,14 @@ class Sensor:
 
         The image is the largest part of that shape in the middle of the photosites. If a whole number of
         photosites makes a pixel, and an even one on a Bayer sensor, they are binned; else areas are averaged.
-        The photosites of the image keep their size, noise and colours.
+        The photosites of the image keep their size, noise and colours. A line scanner records any number of
+        rows, in the same time for each.
 
         Raises:
             ValueError: the image has more columns or rows than there are photosites, or none.
         """
+        if self.line_scan:
+            return self._with_lines(columns, rows)
         site_rows, site_columns = self.site_shape
         if not (1 <= columns <= site_columns and 1 <= rows <= site_rows):
             allowed = f"1 x 1 to {site_columns} x {site_rows}, the photosites of {self.name}"
@@ -175,6 +212,17 @@ class Sensor:
         # The first photosite of the mode can have another colour than that of the sensor.
         left, top = (site_columns - mode.site_shape[1]) // 2, (site_rows - mode.site_shape[0]) // 2
         return dataclasses.replace(mode, pattern=_shifted_pattern(self.pattern, left, top))
+
+    def _with_lines(self, columns: int, rows: int) -> Sensor:
+        """The line scanner with other numbers of columns and lines."""
+        site_columns = self.site_shape[1]
+        if not (1 <= columns <= site_columns and rows >= 1):
+            allowed = f"have 1 to {site_columns} columns, the photosites of {self.name}, and at least one row"
+            raise ValueError(f"an image of {columns} x {rows} pixels must {allowed}")
+        factor = Fraction(site_columns, columns)
+        if factor.denominator == 1:
+            return dataclasses.replace(self, columns=columns, rows=rows, binning=int(factor), reduction=None)
+        return dataclasses.replace(self, columns=columns, rows=rows, binning=1, reduction=factor)
 
     def with_filter(self, transmittance: Spectrum) -> Sensor:
         """The same sensor behind a filter of this transmittance `(n,)`, at the wavelengths of both curves."""
@@ -197,7 +245,7 @@ def binning_error(
         return (
             "" if binning == 1 and reduction >= 1 else "a reduction must be at least 1, with a binning of 1"
         )
-    if pattern == "mono":
+    if pattern in ("mono", "bands"):
         return ""
     if binning % 2 and binning != 1:
         return f"binning must be 1 or even on a Bayer pattern, as blocks hold whole quads, not {binning}"
@@ -208,7 +256,7 @@ def binning_error(
 
 def _shifted_pattern(pattern: Pattern, left: int, top: int) -> Pattern:
     """The pattern of the photosites from a column and a row on."""
-    if pattern == "mono":
+    if pattern in ("mono", "bands"):
         return pattern
     letters = (pattern[2 * ((row + top) % 2) + (column + left) % 2] for row in (0, 1) for column in (0, 1))
     shifted = "".join(letters)

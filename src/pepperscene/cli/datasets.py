@@ -104,7 +104,7 @@ def export(
             "--format",
             metavar="NAME",
             help="published, coco, yolo, yolo_detect, yolo_pose, semantic, webdataset, huggingface, "
-            "nerfstudio, colmap, ply, rgbd, bop or rerun.",
+            "nerfstudio, colmap, ply, rgbd, rgbd_sensor, envi, npy, bop or rerun.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],

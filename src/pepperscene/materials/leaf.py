@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.cultivar import PigmentPath
+from pepperscene.materials.contents import leaf_contents
 from pepperscene.materials.gloss import cone_gloss, cuticle_transmittance
 from pepperscene.materials.surface import Surface, refine_states
 from pepperscene.spectra import leaf_spectra
@@ -112,4 +113,5 @@ def leaf_surface(name: str, path: PigmentPath, wavelength_nm: FloatArray) -> Sur
         wide_roughness=path.wide_roughness,
         wide_share=path.wide_share,
         first_state=first,
+        contents=leaf_contents(path, states),
     )

@@ -76,6 +76,7 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
             relief_mm=np.float32(blade.relief) * textures.relief_mm,
             residue_pattern=textures.residue_pattern,
             ageing_order=textures.ageing_order,
+            is_blade=True,
         )
     if form == "flower":
         # A petal is a leaf with a petal's pigments and no veins: faint streaks along it, 1 mm wide (chosen).

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pepperscene.cultivar import OrganForm, PigmentPath
+from pepperscene.materials.contents import rind_contents
 from pepperscene.materials.fruit_skin import FruitSkin, add_skin
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.patterns import noise_mm
@@ -104,6 +105,7 @@ def _rind_surface(
         roughness=path.roughness,
         pattern=pattern.astype(np.float32),
         relief_mm=relief_mm.astype(np.float32),
+        contents=rind_contents(path, states),
     )
 
 
@@ -138,6 +140,7 @@ def fruit_surface(
         surface,
         residue_reflectance=CORK_REFLECTANCE,
         residue_pattern=(textures.cover / mean).astype(np.float32),
+        contents={**surface.contents, "ripeness": surface.states},
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -47,6 +47,10 @@ class Surface:
         ageing_order: `(t, h, w)` ageing of an organ at which the tissue begins to age, 0 or more, or None for
             tissue that does not age before the organ is dry. Tissue that begins at m has aged by
             clip((ageing - m) / `AGEING_RANGE`, 0, 1); a state s then becomes s - aged * (1 + s).
+        contents: `(s,)` what the tissue of each row holds, 0 or more, by trait: "chlorophyll" and
+            "carotenoids" in ug/cm2, "water" in cm, "ripeness" from 0 to 1. Traits that the surface does not
+            have are left out. Between two rows they are linear, as the spectra are.
+        is_blade: whether it is the surface of leaf blades, whose ageing is the age of the leaf.
     """
 
     name: str
@@ -64,6 +68,8 @@ class Surface:
     relief_mm: NDArray[np.float32] | None = None
     residue_pattern: NDArray[np.float32] | None = None
     ageing_order: NDArray[np.float32] | None = None
+    contents: Mapping[str, FloatArray] = field(default_factory=dict)
+    is_blade: bool = False
 
     def __post_init__(self) -> None:
         s, n = self.reflectance.shape[0], self.wavelength_nm.size
@@ -90,6 +96,14 @@ class Surface:
                 raise ValueError(f"{self.name}: {name} must be a stack (t, h, w) of finite numbers")
             if name in ("residue_pattern", "ageing_order") and images.min() < 0:
                 raise ValueError(f"{self.name}: {name} must not be negative")
+        for name, amounts in self.contents.items():
+            if amounts.shape != (s,) or not (np.isfinite(amounts) & (amounts >= 0)).all():
+                raise ValueError(f"{self.name}: {name} must be {s} finite numbers that are not negative")
+
+    @property
+    def states(self) -> FloatArray:
+        """`(s,)` the states of the rows."""
+        return np.linspace(self.first_state, 1.0, len(self.transmittance))
 
     @property
     def textures(self) -> dict[str, NDArray[np.float32]]:

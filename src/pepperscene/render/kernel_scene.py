@@ -202,7 +202,8 @@ class KernelScene:
 
     def rays(self, camera: Camera) -> CameraRays:
         """Rays of a camera; along a path only the pose changes, so the lens stays on the device."""
-        key = (camera.lens, camera.width, camera.height, camera.sensor.name, camera.intrinsics.tobytes())
+        sensor, matrix = camera.sensor, camera.intrinsics.tobytes()
+        key = (camera.lens, camera.width, camera.height, sensor.name, sensor.line_scan, matrix)
         rays = camera_rays(camera, self.coordinates, self._slopes.get(key))
         self._slopes = {key: rays.slopes}
         return rays

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
-from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
+from pepperscene.frame import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS, needs_surfaces
 from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
@@ -39,7 +39,11 @@ device's copy with 4, and a third of that for the filtered slopes, twice; 131 MB
 sum of these arrays for `kaite`, not a measured peak."""
 
 _WAVEFRONT: Final = 1 << 20
-"""Samples that are traced at a time, at most: `_LANES` of `pepperscene.render.transport.trace`."""
+"""Samples that are traced at a time, at most: `_LANES` of `pepperscene.render.transport.wavefront`."""
+_BAND_WAVEFRONT, _BAND_VALUES = 1 << 18, 1 << 24
+"""The same of a sensor with bands, and its samples times bands; see `render.transport.band_light`."""
+_SHARED_VALUES: Final = 80
+"""Values of a sample that all bands share: 20 of each of four vertices of a path."""
 
 _PER_BOUNCE: Final = 30e6  # bytes of the code for one more scattering event, and of compiling it; measured
 
@@ -66,8 +70,13 @@ _FURTHER: Final = {
     "coverage": 55.0,
     "flow": 165.0,
     "stereo": 165.0,
+    **dict.fromkeys(TRAIT_OUTPUTS, 65.0),
+    "leaf_age": 30.0,
 }
 """Further bytes per pixel that one of these outputs takes while it is computed; measured."""
+_PER_BAND: Final = 32.0
+"""Bytes per pixel and band of the outputs of a sensor with bands: the signal, the electrons in double
+precision, what is measured of them, and the white reference; the sum of these arrays, not a measured peak."""
 _BESIDES: Final = {"albedo": 80e6, "amodal": 100e6}
 """Bytes of one of these outputs that hardly depend on the image: rays and code of `albedo`, whose images are
 gone before there are labels, and for `amodal` 4,096 organs that are kept, of 25 KB. Measured peaks of 4k
@@ -75,9 +84,9 @@ images are 6 % and 14 % below the estimates."""
 _ROW_POSES: Final = 90.0
 """Further bytes per pixel of the outputs above if the rows of the image have poses of their own; measured 85
 to 90 for normals and flow."""
-_UV_PIXELS, _PER_UV_PIXEL = 1 << 20, 350.0
+_UV_PIXELS, _PER_UV_PIXEL, _PER_TRAIT_PIXEL = 1 << 20, 350.0, 420.0
 """Pixels whose surface coordinates are computed at a time, as in `pepperscene.render.aov.labels`, and bytes
-of each; measured 330 to 380."""
+of each, measured 330 to 380; and bytes of each for the contents of tissue."""
 
 _PER_IMAGER: Final = 60.0
 """Bytes per pixel of the light of the first imager while the second is traced, and of both images; chosen:
@@ -140,12 +149,16 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
             per_pixel += _DEMOSAIC * np.prod(camera.sensor.site_shape) / pixels
     else:
         held = 0.0
+    if bands := BAND_OUTPUTS.intersection(outputs):
+        per_pixel += (_PER_BAND if "reflectance" in bands else 0.5 * _PER_BAND) * camera.sensor.channels
     if labels:
         further = max(_FURTHER.get(name, 0.0) for name in labels)
         further += _ROW_POSES if camera.rows_move and further else 0.0
         per_pixel = max(per_pixel, held + _LABELS + further)
     total += sum(_BESIDES.get(name, 0.0) for name in labels)
-    if "uv" in labels:
+    if TRAIT_OUTPUTS.intersection(labels) - {"leaf_age"}:
+        total += _PER_TRAIT_PIXEL * min(pixels, _UV_PIXELS)
+    elif "uv" in labels:
         total += _PER_UV_PIXEL * min(pixels, _UV_PIXELS)
     total += per_pixel * pixels + sum(_image_size(name, camera) for name in outputs)
     return int(_MARGIN * total)
@@ -180,6 +193,10 @@ def reserved_address_space() -> int:
 def _device_memory(camera: Camera, quality: Quality) -> float:
     """Bytes of the values and sums of wavefronts that Dr.Jit keeps; it rounds sizes up to powers of two."""
     pixels, channels, total = camera.width * camera.height, camera.sensor.channels, 0.0
+    if camera.sensor.pattern == "bands":
+        # Long paths carry their light and its factor in each band.
+        lanes = min(_BAND_WAVEFRONT, _BAND_VALUES // channels)
+        return 4.0 * _rounded(lanes) * (_SHARED_VALUES + (2 * channels if quality.most_bounces else 0))
     first = min(quality.soft, quality.samples)
     # Numbers of values as of the functions `_all_light` and `_direct_light` of the integrator.
     passes = ((first, 4 * channels + 6), (quality.samples - first, 3 * channels + 5))
@@ -222,5 +239,5 @@ def _image_size(name: str, camera: Camera) -> float:
     if not output.is_image:
         return 0.0
     rows, columns = camera.sensor.site_shape if name == "raw" else (camera.height, camera.width)
-    channels = (camera.sensor.channels,) if output.channels == (1, 3) else output.channels
+    channels = (camera.sensor.channels,) if output.has_channels else output.channels
     return float(rows) * columns * int(np.prod(channels or (1,))) * np.dtype(output.dtype).itemsize

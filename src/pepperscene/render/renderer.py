@@ -17,6 +17,7 @@ from pepperscene.camera import (
     ChosenExposure,
     DepthCamera,
     ExposureControl,
+    WhiteReference,
     add_stray_light,
     choose_exposure,
     develop,
@@ -26,11 +27,14 @@ from pepperscene.camera import (
 )
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.frame import (
+    BAND_OUTPUTS,
     DEFAULT_OUTPUTS,
     DEPTH_CAMERA_OUTPUTS,
     OUTPUTS,
     STEREO_OUTPUTS,
+    TRAIT_OUTPUTS,
     Frame,
+    check_band_outputs,
     check_outputs,
 )
 from pepperscene.render.aov import labels
@@ -47,6 +51,7 @@ if TYPE_CHECKING:
     from pepperscene.render.aov.coverage import SceneCoverage
     from pepperscene.render.aov.harvest import SceneHarvest
     from pepperscene.render.aov.isolated import IsolatedOrgans
+    from pepperscene.render.aov.traits import SceneTraits
 
 FrameSky = Sky | Literal["scene"] | None
 """The sky of a frame, None for a frame without daylight, or "scene" for the sky of the scene."""
@@ -61,6 +66,7 @@ def render_scene(
     target_error: float | None = None,
     others: Mapping[str, Camera] | None = None,
     depth_camera: DepthCamera | None = None,
+    white_reference: WhiteReference | None = None,
 ) -> Frame:
     """Render one frame of a scene; for several frames of the same scene keep a `Renderer`.
 
@@ -75,13 +81,21 @@ def render_scene(
         others: further cameras of the same scene: "flow", the target of the output `flow` (without it there
             is no flow), and "stereo", the partner of `stereo` and `colour_stereo`.
         depth_camera: of `depth_sensor` and the other `DEPTH_CAMERA_OUTPUTS`, at its pose.
+        white_reference: of `reflectance`; None for a panel of 0.99 half a metre in front of the camera.
 
     Raises:
         InputError: unknown output or quality, target out of range, missing partner or depth camera.
         SetupError: no JIT variant of Mitsuba runs on this machine.
     """
     return Renderer(scene).render(
-        camera, outputs, quality, seed, target_error, others, depth_camera=depth_camera
+        camera,
+        outputs,
+        quality,
+        seed,
+        target_error,
+        others,
+        depth_camera=depth_camera,
+        white_reference=white_reference,
     )
 
 
@@ -108,22 +122,27 @@ class Renderer:
         sky: FrameSky = "scene",
         exposure_control: ExposureControl | None = None,
         depth_camera: DepthCamera | None = None,
+        white_reference: WhiteReference | None = None,
     ) -> Frame:
         """Render one frame; see `render_scene` for the other arguments.
 
         `sky` replaces the sky of the scene, None removes it, and "scene" keeps it; the geometry stays on the
         device in all cases. With `exposure_control`, exposure time and gain are chosen
         automatically for `camera`, and used for the other cameras too; only where light is traced.
+        `white_reference` is that of the output `reflectance`, by default the default one.
 
         Raises:
-            InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`.
+            InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`, or
+                its sensor does not have an output.
             SetupError: as `render_scene`.
         """
         requested = check_outputs(outputs)
+        check_band_outputs(requested, camera.sensor.name, has_bands=camera.sensor.pattern == "bands")
         others = _check_others(requested, others or {})
         depths = DEPTH_CAMERA_OUTPUTS.intersection(requested)
         if depths and depth_camera is None:
             raise ArgumentError("depth_camera", f"is required for the output {min(depths)}")
+        bands = BAND_OUTPUTS.intersection(requested)
         quality = resolve_quality(quality, target_error)
         scene = self._under(sky)
         images: dict[str, Any] = {}
@@ -143,6 +162,13 @@ class Renderer:
             noise, sampling = np.random.SeedSequence(seed).spawn(2)
             signal, described["sampling"] = self._kernel.trace(camera, quality, sampling, scene)
             images |= _photographs(requested, signal, camera, noise)
+            if bands:
+                from pepperscene.render.band_images import band_images
+
+                panel, electrons = white_reference or WhiteReference(), images["electrons"]
+                measured = band_images(bands, signal, electrons, camera, scene, panel, noise)
+                images |= measured[0]
+                described |= measured[1]
         if "colour_stereo" in requested:
             # The third branch of the frame's seed gives the partner its own noise and samples.
             noise, sampling = np.random.SeedSequence(seed).spawn(3)[2].spawn(2)
@@ -176,6 +202,8 @@ class Renderer:
             instances = labels.visible_instances(self.scene.mesh, instance)
             if "coverage" in requested:
                 images["coverage"] = self._coverage.image(self._kernel.truth_scene(), rays)
+            if traits := TRAIT_OUTPUTS.intersection(requested):
+                images |= self._traits.images(hits, camera, traits)
             for name in [name for name in ("flow", "stereo") if name in requested]:
                 from pepperscene.render.aov.flow import optical_flow
 
@@ -251,6 +279,12 @@ class Renderer:
         from pepperscene.render.aov.coverage import SceneCoverage
 
         return SceneCoverage(self.scene.mesh)
+
+    @functools.cached_property
+    def _traits(self) -> SceneTraits:
+        from pepperscene.render.aov.traits import SceneTraits
+
+        return SceneTraits(self.scene)
 
     @functools.cached_property
     def _harvest(self) -> SceneHarvest:

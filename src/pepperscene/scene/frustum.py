@@ -53,7 +53,7 @@ class ViewFrustums:
 
 
 def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
-    """The frustums of a camera at some poses.
+    """The frustums of a camera at some poses; those of a line scanner, which sweeps, contain everything.
 
     Lens distortion may bend the image border: the half-spaces use its largest slopes. They also contain the
     entrance pupil, where camera rays start, and the flash, where shadow rays end, and so everything that can
@@ -77,6 +77,8 @@ def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
         extent = (camera.flash.radius_m - inward @ camera.flash.emitter_positions().T).max(axis=1)
         margin = np.maximum(margin, extent)
 
+    if camera.sensor.line_scan:
+        inward, margin = np.zeros_like(inward), np.ones_like(margin)
     normals = np.einsum("pij,kj->pki", pose[:, :3, :3], inward)
     offsets = np.einsum("pki,pi->pk", normals, pose[:, :3, 3]) - margin
     # Allow for rounding to single precision.

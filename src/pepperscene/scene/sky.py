@@ -70,6 +70,16 @@ class Sky:
         rows, columns = self.weights.shape[1:]
         return np.asarray((self.weights * _projected_solid_angles(rows, columns)).sum((1, 2)))
 
+    def received_by(self, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`(k,)` weight of each spectrum in the irradiance of a plane with a normal `(3,)`, sr."""
+        rows, columns = self.weights.shape[1:]
+        # Coarse maps would not resolve the plane's own horizon.
+        down, right = max(-(-_ROWS // rows), 1), max(-(-2 * _ROWS // columns), 1)
+        _, solid_angles = row_geometry(rows * down, columns * right)
+        cosines = np.maximum(directions(rows * down, columns * right) @ normal, 0.0)
+        parts = (cosines * solid_angles[:, None]).reshape(rows, down, columns, right).sum((1, 3))
+        return np.asarray((self.weights * parts).sum((1, 2)))
+
     def horizontal_illuminance(self) -> float:
         """Lux on an unobstructed level plane, from sky and sun together."""
         irradiance = self.received() @ self.radiance.values

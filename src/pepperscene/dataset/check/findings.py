@@ -125,6 +125,23 @@ def camera_pose(metadata: Mapping[str, Any]) -> NDArray[np.float64] | None:
     return pose if pose.shape == (4, 4) and np.isfinite(pose).all() else None
 
 
+def camera_centres(metadata: Mapping[str, Any], rows: int) -> NDArray[np.float64] | None:
+    """Projection centres of the labels of an image, `(3,)`, or `(rows, 1, 3)` if its rows have poses.
+
+    None if the camera's JSON is not valid.
+    """
+    pose, camera = camera_pose(metadata), json_object(metadata, "camera")
+    motion, line_time_s = json_object(camera, "motion"), camera.get("line_time_s", 0.0)
+    if pose is None or not motion or not line_time_s or motion.get("labels_per_row") is False:
+        return None if pose is None else pose[:3, 3]
+    try:
+        times = (np.arange(rows) + 0.5 - 0.5 * rows) * float(line_time_s)
+        velocity = np.asarray(motion.get("velocity_m_s"), dtype=float).reshape(3)
+    except (TypeError, ValueError):
+        return None
+    return np.asarray(pose[:3, 3] + times[:, None, None] * velocity)
+
+
 def camera_integer(metadata: Mapping[str, Any], key: str, default: int = 0) -> int:
     """An integer of the camera."""
     value = json_object(metadata, "camera").get(key)

@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.check.findings import camera_integer, camera_pose
+from pepperscene.dataset.check.findings import camera_centres, camera_integer
+from pepperscene.frame import BAND_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.truth import saturated_fraction
 
 _BLACK: Final = 2
@@ -24,6 +25,8 @@ _LENGTH_TOLERANCE: Final = 1e-3
 """Chosen: of a unit vector; float32 leaves 1e-6."""
 _TOLERANCE: Final = 1e-4
 """Chosen: of positions, in metres and as a fraction of the distance; float32 leaves 1e-6."""
+_MOST: Final = {"ripeness": 1.0, "leaf_age": 1.0}
+"""Greatest values of traits of tissue that have one."""
 _COVERAGE_TOLERANCE: Final = 8 * 2.0**-11
 """Of the sum of eight fractions in 16-bit floats, each rounded to half of 2^-10."""
 
@@ -61,7 +64,8 @@ def check_values(
     # Comparisons with nan are False, as required here, and need no warning.
     with np.errstate(invalid="ignore", over="ignore"):
         surfaces = partial(_check_surfaces, ignored=ignored)
-        for check in (_check_distances, _check_measured_depth, surfaces, _check_light, _check_flow):
+        checks = (_check_distances, _check_measured_depth, surfaces, _check_traits, _check_light, _check_flow)
+        for check in checks:
             for output, problem, pixels in check(images, sky, metadata):
                 if pixels.any():
                     yield "value", output, f"{np.count_nonzero(pixels)} pixels {problem}"
@@ -91,8 +95,8 @@ def _check_distances(images: Mapping[str, Any], sky: Any, metadata: Mapping[str,
         if sky is not None:
             wrong = sky == np.isfinite(position).all(-1)
             yield "position", "have a position where no surface is hit, or none where one is", wrong
-        if distance is not None and (pose := camera_pose(metadata)) is not None:
-            difference = np.abs(np.sqrt(np.square(position - pose[:3, 3]).sum(-1)) - distance)
+        if distance is not None and (centres := camera_centres(metadata, len(distance))) is not None:
+            difference = np.abs(np.sqrt(np.square(position - centres).sum(-1)) - distance)
             wrong = difference > _TOLERANCE * (1 + distance)
             yield "position", "have a position at another distance from the camera", wrong
 
@@ -144,12 +148,27 @@ def _check_surfaces(
         yield "coverage", "have class fractions whose sum is not 1", wrong
 
 
+def _check_traits(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
+    for output in sorted(TRAIT_OUTPUTS & images.keys()):
+        # Where a surface has no such trait, the value is not a number.
+        image, most = images[output], _MOST.get(output, np.finfo(np.float32).max)
+        yield output, "have a value outside its range", (image < 0) | (image > most)
+        if sky is not None:
+            yield output, "have a value where no surface is hit", ~np.isnan(image) & sky
+
+
 def _check_light(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any]) -> Iterator[Problem]:
     if "electrons" in images:
         electrons = images["electrons"]
         yield "electrons", "have electrons that are not finite", ~np.isfinite(electrons).all(-1)
         yield "electrons", "have fewer than 0 electrons", (electrons < 0).any(-1)
         yield "electrons", "have no light at all", np.full(electrons.shape[:2], not electrons.any())
+    for output in sorted(BAND_OUTPUTS.intersection(images)):
+        values = images[output]
+        yield output, "have a value that is not finite", ~np.isfinite(values).all(-1)
+        yield output, "have no light at all", np.full(values.shape[:2], not values.any())
+    if "radiance" in images:
+        yield "radiance", "have a radiance below 0", (images["radiance"] < 0).any(-1)
     if "albedo" in images:
         yield "albedo", "have an albedo that is not finite", ~np.isfinite(images["albedo"]).all(-1)
     if "raw" in images:

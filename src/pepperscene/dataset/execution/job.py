@@ -22,7 +22,7 @@ from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.dataset.views.camera_views import check_further_cameras
-from pepperscene.frame import Frame, check_outputs
+from pepperscene.frame import Frame, check_band_outputs, check_outputs
 from pepperscene.truth import class_pixel_counts
 from pepperscene.version import __version__
 
@@ -87,6 +87,8 @@ class BuildJob:
         resolve_quality(options.quality, options.target_error)
         resolved = resolve_recipe(recipe, seed=options.seed)
         check_further_cameras(resolved.recipe, names)
+        sensor = resolved.camera.sensor
+        check_band_outputs(names, sensor.name, has_bands=sensor.pattern == "bands")
         path = Path(folder).absolute()
         return cls(resolved, path, names, options.quality, options.target_error, options.renderer)
 

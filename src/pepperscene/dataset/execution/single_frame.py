@@ -13,6 +13,7 @@ from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.store.atomic import canonical_json, check_can_write, digest, write_files
+from pepperscene.dataset.store.band_channels import recorded_bands
 from pepperscene.dataset.store.dataset import MARK
 from pepperscene.dataset.store.frame_json import file_entry, read_json
 from pepperscene.dataset.store.images import encode_image
@@ -77,7 +78,8 @@ def render_frame(
         frame = renderer.render(spec, job.outputs, resolve_quality(job.quality, job.target_error))
         if on_stage is not None:
             on_stage("writing files")
-        files = {name: encode_image(frame.images[output], output) for output, name in names.items()}
+        bands = recorded_bands(frame.metadata)
+        files = {name: encode_image(frame.images[output], output, bands) for output, name in names.items()}
     entries = {output: file_entry(name, files[name]) for output, name in names.items()}
     metadata = {**job.info, "format": FORMAT, **job.frame_metadata(frame, spec), "outputs": entries}
     files[METADATA] = canonical_json(metadata)

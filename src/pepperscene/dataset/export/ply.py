@@ -36,7 +36,7 @@ def write_ply(job: ExportJob, folder: Path) -> None:
 
 
 def _point_cloud(frame: ExportFrame) -> bytes:
-    surface = read_surface(frame)
+    surface = read_surface(frame, allows_line_scan=True)
     colour, labels = read_colour(frame, surface), {name: read_label(frame, name, surface) for name in _LABELS}
     rows, columns = np.nonzero(np.isfinite(surface.distance))
     further = {name: image[rows, columns] for name, image in labels.items()}

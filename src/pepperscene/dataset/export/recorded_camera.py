@@ -16,20 +16,27 @@ from pepperscene.spectra import Spectrum
 _PITCH_M: Final = 2.0**-17
 """Pitch of the pixels. Chosen: with any power of two, focal lengths in pixels stay exact."""
 
+_EXPOSURE_S: Final = 50e-6  # any, since it does not affect the geometry
 
-def recorded_camera(frame: ExportFrame) -> Camera:
+
+def recorded_camera(frame: ExportFrame, *, allows_line_scan: bool = False) -> Camera:
     """The camera of a frame, for its geometry only: values of light and electrons are placeholders.
 
     Pose, intrinsics, distortion, motion and the times of rows are those of the frame's JSON, so that
     `Camera.project`, `pixel_directions` and `label_poses` are those of its labels.
 
     Raises:
-        InputError: a value is missing, or the lens has no image of this size.
+        InputError: a value is missing, the lens has no image of this size, or it is a line scanner, unless
+            that is allowed.
     """
     path, values = frame.dataset.frame_path(frame.index), frame.metadata["camera"]
     for key in ("width", "height"):
         if values.get(key) is None:
             raise InputError(path, "is required but missing", key=f"camera.{key}")
+    is_line_scan = bool(values.get("line_scan", False))
+    if is_line_scan and not allows_line_scan:
+        problem = "must be false: this format has cameras that take an image at once, not line scanners"
+        raise InputError(path, problem, key="camera.line_scan", value=True)
     model = values["distortion"].get("model", "plumb_bob")
     if model not in MODELS:
         raise InputError(
@@ -39,12 +46,14 @@ def recorded_camera(frame: ExportFrame) -> Camera:
     numbers = tuple(float(values[name]) for name in ("fx", "fy", "cx", "cy"))
     size = int(values["width"]), int(values["height"])
     try:
-        lens, sensor = _optics(model, coefficients, numbers, size, float(values.get("line_time_s") or 0.0))
+        line_time_s = float(values.get("line_time_s") or 0.0)
+        lens, sensor = _optics(model, coefficients, numbers, size, line_time_s, is_line_scan)
         motion = values.get("motion")
         return Camera(
             lens,
             sensor,
             np.asarray(values["pose"], dtype=float),
+            exposure_s=min(line_time_s, _EXPOSURE_S) if is_line_scan else _EXPOSURE_S,
             motion=None
             if motion is None
             else Motion(motion["velocity_m_s"], motion["angular_velocity_rad_s"]),
@@ -63,6 +72,7 @@ def _optics(
     intrinsics: tuple[float, ...],
     size: tuple[int, int],
     line_time_s: float,
+    is_line_scan: bool,
 ) -> tuple[Lens, Sensor]:
     """Lens and sensor; the same objects for equal values, since rays are cached by them."""
     (fx, fy, cx, cy), (width, height) = intrinsics, size
@@ -81,6 +91,7 @@ def _optics(
         binning=1,
         pattern="mono",
         line_time_s=line_time_s,
+        line_scan=is_line_scan,
         **electrical,
     )
     lens = Lens(

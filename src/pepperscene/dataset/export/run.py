@@ -13,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from pepperscene.dataset.export.band_frames import BAND_IMAGES
 from pepperscene.dataset.export.job import DEPTH_OUTPUTS, ExportJob, OnFrame, import_library
 from pepperscene.dataset.export.selection import RIPE_FROM, Selection, parse_categories
 from pepperscene.dataset.export.splits import read_splits, shared_plants
@@ -84,6 +85,8 @@ FORMATS: Final = MappingProxyType(
         "ply": ExportFormat((("colour",), DEPTH_OUTPUTS, ("class",), ("instance",))),
         "rgbd": ExportFormat((("colour",), DEPTH_OUTPUTS)),
         "rgbd_sensor": ExportFormat((("colour",), ("depth_sensor",))),
+        "envi": ExportFormat((BAND_IMAGES,)),
+        "npy": ExportFormat((BAND_IMAGES,)),
         "rerun": ExportFormat(
             (("colour",), DEPTH_OUTPUTS, ("class",), ("instance",)), "rerun", 1, extra="rerun"
         ),

@@ -66,13 +66,13 @@ def depth_png(depth_m: NDArray[np.floating[Any]]) -> bytes:
     return png_bytes(np.where(depth_mm <= MOST_MM, depth_mm, 0).astype(np.uint16))
 
 
-def read_surface(frame: ExportFrame) -> RangeImage:
+def read_surface(frame: ExportFrame, *, allows_line_scan: bool = False) -> RangeImage:
     """The surface of a frame from its output `distance`, or else `depth_z`.
 
     Raises:
         InputError: the camera or the image is not valid, or they differ in size.
     """
-    camera = recorded_camera(frame)
+    camera = recorded_camera(frame, allows_line_scan=allows_line_scan)
     outputs = frame.metadata["outputs"]
     output = next((name for name in DEPTH_OUTPUTS if name in outputs), DEPTH_OUTPUTS[0])
     image = np.asarray(frame.image(output), dtype=float)

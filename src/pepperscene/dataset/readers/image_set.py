@@ -18,10 +18,16 @@ VOID: Final = IGNORE_CLASS
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 
-ARRAYS: Final = ("colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m")
+ARRAYS: Final = (
+    "colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m", "chlorophyll_ug_cm2",
+    "carotenoids_ug_cm2", "water_cm", "ripeness", "leaf_age",
+)  # fmt: skip
 """Fields of `LabelledImage` that are arrays of the image's size."""
 
-FIELDS: Final = (*ARRAYS, "metadata")
+BAND_ARRAYS: Final = ("reflectance", "radiance", "bands")
+"""The same of sensors with bands."""
+
+FIELDS: Final = (*ARRAYS, *BAND_ARRAYS, "metadata")
 """Fields of `LabelledImage` that a reader reads or skips."""
 
 
@@ -38,6 +44,14 @@ class LabelledImage:
         depth_z_m: `(h, w)` float32, metres along the optical axis, inf for none.
         depth_sensor_m: `(h, w)` float32, metres along the optical axis as a depth camera measured them, nan
             for holes.
+        chlorophyll_ug_cm2: `(h, w)` float32, ug per cm2 of leaf or skin, nan where none is known; likewise:
+        carotenoids_ug_cm2: `(h, w)` float32.
+        water_cm: `(h, w)` float32, equivalent thickness of the water in blades and petals, or g per cm2.
+        ripeness: `(h, w)` float32, 0 unripe to 1 ripe, of fruit.
+        leaf_age: `(h, w)` float32, 0 healthy to 1 dried up, of leaf blades.
+        reflectance: `(h, w, c)` float32, of each band relative to a white reference.
+        radiance: `(h, w, c)` float32, W m-2 sr-1 nm-1 in each band.
+        bands: `(h, w, c)` float32, measured electrons of each band, which the metadata describe.
         metadata: further metadata: the JSON of a rendered frame, the files of an image in a folder.
     """
 
@@ -48,6 +62,14 @@ class LabelledImage:
     distance_m: NDArray[np.float32] | None = None
     depth_z_m: NDArray[np.float32] | None = None
     depth_sensor_m: NDArray[np.float32] | None = None
+    chlorophyll_ug_cm2: NDArray[np.float32] | None = None
+    carotenoids_ug_cm2: NDArray[np.float32] | None = None
+    water_cm: NDArray[np.float32] | None = None
+    ripeness: NDArray[np.float32] | None = None
+    leaf_age: NDArray[np.float32] | None = None
+    reflectance: NDArray[np.float32] | None = None
+    radiance: NDArray[np.float32] | None = None
+    bands: NDArray[np.float32] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -56,7 +78,7 @@ class LabelledImage:
             raise ValueError(f"{self.name}: its images differ in size, {sorted(sizes)}")
 
     def _sizes(self) -> set[tuple[int, int]]:
-        arrays = [getattr(self, name) for name in ARRAYS]
+        arrays = [getattr(self, name) for name in (*ARRAYS, *BAND_ARRAYS)]
         return {(array.shape[0], array.shape[1]) for array in arrays if array is not None}
 
     @property

@@ -28,6 +28,14 @@ _SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
     "distance_m": (("distance", None), ("distance_code", distance_from_code)),
     "depth_z_m": (("depth_z", None),),
     "depth_sensor_m": (("depth_sensor", None),),
+    "chlorophyll_ug_cm2": (("chlorophyll", None),),
+    "carotenoids_ug_cm2": (("carotenoids", None),),
+    "water_cm": (("water", None),),
+    "ripeness": (("ripeness", None),),
+    "leaf_age": (("leaf_age", None),),
+    "reflectance": (("reflectance", None),),
+    "radiance": (("radiance", None),),
+    "bands": (("bands", None),),
 }
 """Outputs that a field can be read from, the best first, and how to decode them."""
 

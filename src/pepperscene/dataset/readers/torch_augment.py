@@ -69,7 +69,8 @@ class Augmentation:
 
         Args:
             sample: as `torch_images` returns it: `image` (3, h, w) uint8, `mask`, `instances`, `distance`,
-                `depth_z` and `depth_sensor` (h, w); other keys are copied. The types of the tensors are kept.
+                `depth_z`, `depth_sensor` and traits of tissue (h, w); other keys are copied. The types of the
+                tensors are kept.
             rng: source of the random numbers; None seeds one from torch's generator, which a `DataLoader`
                 seeds differently in each worker.
 

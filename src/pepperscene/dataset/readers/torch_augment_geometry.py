@@ -17,6 +17,7 @@ from pepperscene.dataset.readers.torch_augment_step import (
     is_range,
 )
 from pepperscene.errors import ArgumentError
+from pepperscene.frame import TRAIT_OUTPUTS
 
 _PADDING: Final[Mapping[str, float]] = {
     "image": 0,
@@ -25,8 +26,9 @@ _PADDING: Final[Mapping[str, float]] = {
     "distance": np.inf,
     "depth_z": np.inf,
     "depth_sensor": np.nan,
+    **dict.fromkeys(TRAIT_OUTPUTS, np.nan),
 }
-"""Value of pixels outside the original image: black, void, no organ, nothing, a hole."""
+"""Value of pixels outside the original image: black, void, no organ, nothing, a hole, no tissue."""
 
 
 @final

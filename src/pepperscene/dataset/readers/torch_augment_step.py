@@ -13,9 +13,13 @@ from pepperscene.errors import ArgumentError
 
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays of one sample by key: `image` (h, w, 3) uint8 in sRGB; `mask`, `instances`, `distance`, `depth_z`,
-`depth_sensor`, each (h, w). All have the same height and width; any of them may be missing."""
+`depth_sensor`, and the traits of tissue, `chlorophyll`, `carotenoids`, `water`, `ripeness` and `leaf_age`,
+each (h, w). All have the same height and width; any of them may be missing."""
 
-ARRAY_KEYS: Final = ("image", "mask", "instances", "distance", "depth_z", "depth_sensor")
+ARRAY_KEYS: Final = (
+    "image", "mask", "instances", "distance", "depth_z", "depth_sensor", "chlorophyll", "carotenoids",
+    "water", "ripeness", "leaf_age",
+)  # fmt: skip
 
 
 class AugmentationStep(ABC):

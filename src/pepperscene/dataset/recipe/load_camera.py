@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from pepperscene.dataset.recipe.camera_tables import GENERIC_SENSOR, INTRINSICS, SIZE_KEYS, CameraTable
 from pepperscene.dataset.recipe.exposure import AUTO
 from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.recipe.tables import NONE
+from pepperscene.dataset.recipe.tables import NONE, WhiteReferenceTable
+from pepperscene.dataset.recipe.views_tables import ArcViews, PathViews, PoseViews
 from pepperscene.errors import InputError
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, Lens, Sensor
+    from pepperscene.camera import Camera, Lens, Sensor, WhiteReference
     from pepperscene.camera.calibration import CameraCalibration
 
 
@@ -94,6 +95,8 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
     flash = None if table.flash == NONE else files.load(load_flash, where, "camera.flash", table.flash)
 
     # Checks that need several parts.
+    if sensor.line_scan:
+        _check_line_scan(recipe, where, sensor)
     if table.focus_mm is not None and table.focus_mm <= 1e3 * lens.focal_length_m:
         problem = f"must be beyond the focal length of {lens.name}, {1e3 * lens.focal_length_m:g} mm"
         raise InputError(where, problem, key="camera.focus_mm", value=table.focus_mm)
@@ -119,6 +122,35 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
             raise
         key = "distortion" if error.key == "distortion" and table.distortion else table.lens_key
         raise InputError(where, error.problem, key=f"camera.{key}", value=getattr(table, key)) from None
+
+
+def _check_line_scan(recipe: Recipe, where: str | Path, sensor: Sensor) -> None:
+    """Raise `InputError` if a line scanner is not used as one."""
+    table, views, line_us = recipe.camera, recipe.views, 1e6 * sensor.line_time_s
+    is_moving = isinstance(views, PathViews | PoseViews) and views.motion
+    is_moving |= isinstance(views, ArcViews) and views.speed_mm_s is not None
+    if not is_moving:
+        kinds = "a path, timed poses, or an arc with speed_mm_s"
+        problem = f"must move the camera, as {sensor.name} is a line scanner: {kinds}"
+        raise InputError(where, problem, key="views.kind", value=views.kind)
+    if table.exposure_us == AUTO:
+        problem = f"must be a time: automatic exposure does not know the lines of {sensor.name}"
+        raise InputError(where, problem, key="camera.exposure_us", value=AUTO)
+    if table.exposure_us > line_us:
+        problem = f"must be at most {line_us:g}, the time from line to line of {sensor.name}"
+        raise InputError(where, problem, key="camera.exposure_us", value=table.exposure_us)
+    if table.labels_per_row is False:
+        problem = f"must be true, as {sensor.name} is a line scanner"
+        raise InputError(where, problem, key="camera.labels_per_row", value=False)
+
+
+def white_reference(recipe: Recipe) -> WhiteReference:
+    """The white reference of a recipe without variation."""
+    from pepperscene.camera import WhiteReference
+
+    table = recipe.white_reference or WhiteReferenceTable()
+    distance_mm = recipe.views.subject_mm if table.distance_mm is None else table.distance_mm
+    return WhiteReference(table.reflectance, distance_mm / 1e3, table.facing)
 
 
 def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
@@ -200,6 +232,7 @@ def _load_sensor(
 ) -> Sensor:
     """Load the sensor with its settings, at the size of the image, behind its filter."""
     from pepperscene.camera import load_filter, load_sensor
+    from pepperscene.camera.bands import describe_bands
 
     sensor = files.load(load_sensor, where, "camera.sensor", table.sensor)
     sensor = sensor.with_settings(bits=table.bits, gain=table.gain)
@@ -217,6 +250,8 @@ def _load_sensor(
             key, name = "camera.filter", table.filter
             sensor = sensor.with_filter(files.load(load_filter, where, key, name).transmittance)
             surface_wavelengths(sensor)
+            if sensor.pattern == "bands":
+                describe_bands(sensor.quantum_efficiency)
     except ValueError as error:
         behind = " behind it" if key == "camera.filter" else ""
         raise InputError(where, f"{sensor.name}{behind} {error}", key=key, value=name) from None

@@ -42,6 +42,9 @@ def load_depth_camera(
     except InputError as error:
         key = f"depth_{error.key}" if error.key.startswith("camera.") else error.key
         raise InputError(error.where, error.problem, key=key, value=error.value) from None
+    if left.sensor.line_scan or left.sensor.pattern == "bands":
+        problem = "must take photographs: it is a line scanner or has bands"
+        raise InputError(where, problem, key="depth_camera.sensor", value=table.sensor)
     if not left.lens.distortion.is_zero:
         problem = "must be without distortion, as the images of depth cameras are after rectification"
         raise InputError(where, problem, key=f"depth_camera.{table.lens_key}")

@@ -58,6 +58,7 @@ class Recipe(Document):
         plan, row, views, camera, developing: the tables.
         auto_exposure: for an exposure of "auto"; None for its defaults.
         depth_camera: a stereo depth camera beside `camera`, or None for none.
+        white_reference: of the output `reflectance`, or None for its defaults.
         override: values of the cultivar file that this recipe changes.
         rig: further cameras that move with `camera`.
         twins: values by dotted key, one for each twin: frames that differ in these values only.
@@ -83,6 +84,7 @@ class Recipe(Document):
     expect: tables.ExpectTable | None = None
     auto_exposure: AutoExposureTable | None = None
     depth_camera: DepthCameraTable | None = None
+    white_reference: tables.WhiteReferenceTable | None = None
     override: dict[str, Any] = Field(default_factory=dict)
     rig: Annotated[tuple[RigCamera, ...], Field(max_length=MOST_CAMERAS - 1)] = ()
     twins: Twins = Field(default_factory=dict)
@@ -126,7 +128,8 @@ class Recipe(Document):
         """
         recipe = self.model_dump(mode="json", exclude={"plan": {"select"}, "expect": True})
         # Tables added later are left out where they are missing, so that older recipes keep their identity.
-        for table in ("growth", "greenhouse", "auto_exposure", "depth_camera", "override", "rig", "twins"):
+        later = ("growth", "greenhouse", "auto_exposure", "depth_camera", "white_reference")
+        for table in (*later, "override", "rig", "twins"):
             if not recipe[table]:
                 del recipe[table]
         for name in ("twins", "cameras"):

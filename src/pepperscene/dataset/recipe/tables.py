@@ -167,6 +167,17 @@ class GrowthTable(Document):
         return self
 
 
+class WhiteReferenceTable(Document):
+    """The white reference of the output `reflectance`, as in `pepperscene.camera.WhiteReference`.
+
+    Without `distance_mm`, it is at the nearest distance from the camera to its subject.
+    """
+
+    reflectance: Annotated[float, Field(strict=True, ge=0.01, le=1)] = 0.99
+    distance_mm: Annotated[float, Field(strict=True, ge=10, le=100_000)] | None = None
+    facing: Literal["camera", "up"] = "camera"
+
+
 class ExpectTable(Document):
     """Expected statistics of a finished data set, for `pepperscene check`; frames do not depend on them.
 

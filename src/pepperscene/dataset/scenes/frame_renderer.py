@@ -13,7 +13,7 @@ import numpy as np
 
 from pepperscene.dataset.recipe.frame_setups import FrameSetup, FrameSetups
 from pepperscene.dataset.recipe.load import resolve_recipe
-from pepperscene.dataset.recipe.load_camera import surface_wavelengths
+from pepperscene.dataset.recipe.load_camera import surface_wavelengths, white_reference
 from pepperscene.dataset.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
@@ -24,7 +24,7 @@ from pepperscene.dataset.views.camera_views import CameraViews
 from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfaces
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, DepthCamera
+    from pepperscene.camera import Camera, DepthCamera, WhiteReference
     from pepperscene.camera.auto_exposure import ExposureControl
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
@@ -46,6 +46,7 @@ class SceneRenderer(Protocol):
         sky: Sky | None = ...,
         exposure_control: ExposureControl | None = ...,
         depth_camera: DepthCamera | None = ...,
+        white_reference: WhiteReference | None = ...,
     ) -> Frame:
         """Render one view; the arguments after `seed` are passed only if a frame needs them."""
 
@@ -151,6 +152,8 @@ class FrameRenderer:
             further["exposure_control"] = setup.recipe.exposure_control.control()
         if DEPTH_CAMERA_OUTPUTS.intersection(outputs):
             further["depth_camera"] = self.views.depth_camera(spec, scene, visible)
+        if "reflectance" in outputs:
+            further["white_reference"] = white_reference(setup.recipe)
         self._on_stage(f"rendering frame {spec.index}")
         frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
         return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, wait
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
+from pepperscene.camera.bands import Band
 from pepperscene.dataset.store.atomic import (
     canonical_json,
     digest,
@@ -29,6 +30,7 @@ from pepperscene.dataset.store.atomic import (
     write_file,
     write_file_if,
 )
+from pepperscene.dataset.store.band_channels import recorded_bands
 from pepperscene.dataset.store.frame_json import (
     CHECKSUM,
     DIGITS,
@@ -251,9 +253,9 @@ class Dataset:
         """
         metadata = {str(key): value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
         try:
-            names = {output: file_name(index, output) for output in images}
+            names, bands = {output: file_name(index, output) for output in images}, recorded_bands(metadata)
             entries = {
-                output: pool.submit(written_image, self.folder / name, images[output], output, name)
+                output: pool.submit(written_image, self.folder / name, images[output], output, name, bands)
                 for output, name in names.items()
             }
             # Wait for all before the first error is raised, so that no image is written after the removal.
@@ -297,9 +299,11 @@ def _matches_entry(path: Path, entry: Mapping[str, Any]) -> bool:
         return False
 
 
-def written_image(path: Path, image: Any, output: str, name: str) -> dict[str, Any]:
+def written_image(
+    path: Path, image: Any, output: str, name: str, bands: Sequence[Band] = ()
+) -> dict[str, Any]:
     """Write an image of an output atomically; returns its entry, under this name, in the frame's JSON."""
-    content = encode_image(image, output)
+    content = encode_image(image, output, bands)
     write_file(path, content)
     return file_entry(name, content)
 

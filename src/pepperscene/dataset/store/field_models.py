@@ -126,6 +126,12 @@ class _Motion(_Fields):
     labels_per_row: bool = True
 
 
+class _Band(_Fields):
+    name: Text
+    centre_nm: Real
+    width_nm: Real
+
+
 class _Camera(_Fields):
     pose: Pose
     fx: Real
@@ -136,6 +142,8 @@ class _Camera(_Fields):
     width: Annotated[int, Field(ge=1, le=_LARGEST_SIDE)] | None = None
     height: Annotated[int, Field(ge=1, le=_LARGEST_SIDE)] | None = None
     line_time_s: Annotated[float, Field(ge=0, le=_LARGEST)] = 0.0
+    line_scan: bool = False
+    bands: list[_Band] = []
     motion: _Motion | None = None
 
 

@@ -2,10 +2,11 @@
 
 An EXR file has 32-bit float channels named by their content: `distance`; `depth_z`; `depth_sensor`;
 `depth_confidence`; `R`, `G`, `B` for electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for
-normals and positions; `U`, `V`; `flow.x`, `flow.y`, `visible`. Two outputs have 16-bit channels: albedo those
-of electrons, and coverage one for each class (`background`, `leaf`, ...). The header attribute `unit` holds
-their unit. Class images are palette PNGs: the pixel values are the class ids, and a viewer shows the class
-colours.
+normals and positions; `U`, `V`; `flow.x`, `flow.y`, `visible`; and `chlorophyll`, `carotenoids`, `water`,
+`ripeness`, `leaf_age`. Channels of a sensor with bands have their number and centre, `B01.475nm`; header
+attributes list the centres and widths. Two outputs have 16-bit channels: albedo those of electrons, and
+coverage one for each class (`background`, `leaf`, ...). The header attribute `unit` holds their unit. Class
+images are palette PNGs: the pixel values are the class ids, and a viewer shows the class colours.
 
 PNG files have an encoder here: Pillow takes 1.9 to 3.7 times as long (colour of 800x600: 41 ms against 11;
 class, instance and distance code together 13 against 6, of a label frame's 47), for files of the same size,
@@ -26,10 +27,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.bands import Band
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.atomic import canonical_json
+from pepperscene.dataset.store.band_channels import band_attributes, band_channels, sorted_bands
 from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS
+from pepperscene.frame import BAND_OUTPUTS, OUTPUTS
 from pepperscene.truth.encodings import class_palette
 
 _CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -46,8 +49,14 @@ _CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
 
 _LUMINANCE: Final = ("Y",)  # channel of electrons and albedo behind no colour filter
 
+_RUNS: Final = ("coverage", "leaf_age")
+"""Outputs whose rows consist of runs of equal values."""
+
 _UNITS: Final = {
     "electrons": "photo-electrons per photosite",
+    "bands": "photo-electrons per photosite, as measured",
+    "radiance": "W m-2 sr-1 nm-1",
+    "reflectance": "1, relative to the white reference",
     "distance": "metres along the ray from the projection centre",
     "depth_z": "metres along the optical axis",
     "depth_sensor": "metres along the optical axis, as measured; nan in holes",
@@ -59,6 +68,11 @@ _UNITS: Final = {
     "flow": "pixels right and down to the next frame; 1 where visible there",
     "stereo": "pixels right and down in the partner's picture; 1 where visible there",
     "albedo": "diffuse reflectance, linear sRGB, 1 for white",
+    "chlorophyll": "micrograms per square centimetre",
+    "carotenoids": "micrograms per square centimetre",
+    "water": "grams per square centimetre, or centimetres of water",
+    "ripeness": "0 unripe to 1 ripe",
+    "leaf_age": "0 healthy to 1 dried up",
 }
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
@@ -67,21 +81,22 @@ _UP: Final = 2  # PNG filter: each row holds its difference from the row above
 _DEFLATE_LEVEL, _DEFLATE_MEMORY = 1, 9
 
 
-def write_image(path: Path, image: Any, output: str) -> None:
+def write_image(path: Path, image: Any, output: str, bands: Sequence[Band] = ()) -> None:
     """Write one image of a frame in the format of its output, the same bytes for the same values.
 
     Args:
         path: the file; its suffix is not used.
         image: of the shape and dtype of `OUTPUTS[output]`; a JSON-ready object if the output is no array.
         output: name of the output.
+        bands: of the sensor, if it has bands.
 
     Raises:
         ValueError: the image does not fit the output, or holds a value that JSON cannot represent.
     """
-    path.write_bytes(encode_image(image, output))
+    path.write_bytes(encode_image(image, output, bands))
 
 
-def encode_image(image: Any, output: str) -> bytes:
+def encode_image(image: Any, output: str, bands: Sequence[Band] = ()) -> bytes:
     """The content of the file that `write_image` writes; same arguments and `ValueError`."""
     expected = OUTPUTS[output]
     if not expected.fits(image):
@@ -90,7 +105,7 @@ def encode_image(image: Any, output: str) -> bytes:
     if not expected.is_image:
         return canonical_json(image)
     if expected.suffix == ".exr":
-        return _exr_bytes(image, output)
+        return _exr_bytes(image, output, bands)
     if output == "class":
         return png_bytes(image, class_palette(ignored=int(image.max(initial=0)) >= len(OrganClass)))
     return png_bytes(image)
@@ -152,22 +167,35 @@ def _chunk(name: bytes, content: bytes) -> bytes:
     return b"".join([struct.pack(">I", len(content)), name, content, struct.pack(">I", checksum)])
 
 
-def _exr_bytes(image: NDArray[Any], output: str) -> bytes:
+def _exr_bytes(image: NDArray[Any], output: str, bands: Sequence[Band]) -> bytes:
     import OpenEXR
 
     planes = np.atleast_3d(image)
-    names = (output,) if image.ndim == 2 else _LUMINANCE if planes.shape[2] == 1 else _CHANNELS[output]
+    names = (output,) if image.ndim == 2 else _channel_names(planes.shape[2], output, bands)
     # The low bits of measured values do not compress: ZIP takes 14 % off distances and 4 % off electrons for
     # six times the time (800x600: 16 and 55 ms against 3 and 6). Of normals it takes 58 %, but for 43 ms
     # against 6, most of what a frame's ground truth takes; of positions 18 % and of flow 35 %, for six times
     # the time. Coverage consists of runs of 0 and 1: 195 KiB instead of 7.3 MiB, for 16 ms against 8.
-    compression = OpenEXR.ZIP_COMPRESSION if output == "coverage" else OpenEXR.NO_COMPRESSION
+    compression = OpenEXR.ZIP_COMPRESSION if output in _RUNS else OpenEXR.NO_COMPRESSION
     header = {"compression": compression, "type": OpenEXR.scanlineimage, "unit": _UNITS[output]}
+    if bands and OUTPUTS[output].has_channels:
+        header |= band_attributes(bands)
     channels = {name: np.ascontiguousarray(planes[..., axis]) for axis, name in enumerate(names)}
     # Into memory: to a file the library writes every line with a system call (4.0 ms against 2.3).
     stream = BytesIO()
     OpenEXR.File(header, channels).write(stream)
     return stream.getvalue()
+
+
+def _channel_names(count: int, output: str, bands: Sequence[Band]) -> Sequence[str]:
+    """Names of the channels of an image with a third axis."""
+    if OUTPUTS[output].has_channels:
+        if bands or output in BAND_OUTPUTS:
+            return band_channels(count, bands)
+        if count not in (1, 3):
+            raise ValueError(f"{output} with {count} channels needs the bands of the sensor")
+        return _LUMINANCE if count == 1 else _CHANNELS[output]
+    return _CHANNELS[output]
 
 
 def _read_object(path: Path) -> dict[str, Any]:
@@ -207,6 +235,8 @@ def _read_exr(path: Path) -> NDArray[Any]:
             source = stack.enter_context(path.open("rb"))
         file = stack.enter_context(OpenEXR.File(source, separate_channels=True))
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    if names := sorted_bands(channels):
+        return np.stack([channels[name] for name in names], axis=-1)
     for names in (*_CHANNELS.values(), _LUMINANCE):
         if set(channels) == set(names):
             return np.stack([channels[name] for name in names], axis=-1)

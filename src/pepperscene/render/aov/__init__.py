@@ -1,1 +1,1 @@
-"""Arbitrary output variables: labels, geometry, coverage, flow, albedo, amodal masks and harvest truth."""
+"""Arbitrary output variables: labels, geometry, coverage, flow, albedo, traits, amodal masks, harvest."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,7 +23,7 @@ _TILE: Final = 4
 longer than those of a line (800x600, 2.9 million triangles: 33 ms of CPU time against 44)."""
 
 _UV_PIXELS: Final = 1 << 20
-"""Chosen: pixels whose surface coordinates are computed at a time; each takes 0.6 KB meanwhile."""
+"""Chosen: pixels whose points in triangles are computed at a time; each takes 0.6 KB meanwhile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,30 +221,67 @@ def centres(camera: Camera) -> NDArray[np.float64]:
 
 
 def surface_coordinates(mesh: Mesh, hits: Hits, camera: Camera) -> NDArray[np.float32]:
-    """`(h, w, 2)` surface coordinates in [0, 1], linear over each triangle; -1 in the background.
+    """`(h, w, 2)` surface coordinates in [0, 1], linear over each triangle; -1 in the background."""
+    uv = np.full((hits.face.size, 2), -1.0, np.float32)
+    for points in surface_points(mesh, hits, camera, np.flatnonzero(hits.face >= 0)):
+        uv[points.pixels] = points.interpolate(mesh.uv)
+    return uv.reshape(*hits.face.shape, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """Where the rays of some pixels meet their triangles."""
+
+    pixels: NDArray[np.intp]  # `(n,)` index of each pixel in the image, row by row
+    face: NDArray[np.int64]  # `(n,)` index of the triangle hit
+    corners: NDArray[np.uint32]  # `(n, 3)` its vertices
+    u: NDArray[np.float64]  # `(n,)` weight of the second corner
+    v: NDArray[np.float64]  # `(n,)` weight of the third
+
+    def interpolate(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
+        """`(n, ...)` values of the vertices `(v, ...)`, linear over each triangle."""
+        u, v = self.u, self.v
+        first, second, third = (values[self.corners[:, corner]].T for corner in range(3))
+        result: NDArray[np.float64] = ((1.0 - u - v) * first + u * second + v * third).T
+        return result
+
+
+def surface_points(
+    mesh: Mesh, hits: Hits, camera: Camera, pixels: NDArray[np.intp]
+) -> Iterator[SurfacePoints]:
+    """Yield the points behind pixels that hit a surface, at most `_UV_PIXELS` at a time.
 
     The position in the triangle is computed in double precision, as in `normals`: single precision loses the
     aspect ratio of a needle-like triangle.
 
+    Args:
+        mesh: of the hits.
+        hits: of the image.
+        camera: of the image.
+        pixels: `(n,)` their indices in the image, row by row.
+
     Method: T. Moeller and B. Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics
     Tools 2 (1997) 21.
     """
-    uv = np.full((hits.face.size, 2), -1.0, np.float32)
+    if not pixels.size:
+        return
     face, rays = hits.face.ravel(), world_directions(camera).reshape(-1, 3)
     centre = centres(camera)
     of_pixels = np.broadcast_to(centre, (*hits.face.shape, 3)).reshape(-1, 3) if centre.ndim > 1 else None
-    hit_pixels = np.flatnonzero(face >= 0)
-    for start in range(0, hit_pixels.size, _UV_PIXELS):
-        pixels = hit_pixels[start : start + _UV_PIXELS]
-        origins = centre[:, None] if of_pixels is None else of_pixels[pixels].T
-        uv[pixels] = _coordinates_of_hits(mesh, face[pixels], rays[pixels].T, origins)
-    return uv.reshape(*hits.face.shape, 2)
+    for start in range(0, pixels.size, _UV_PIXELS):
+        part = pixels[start : start + _UV_PIXELS]
+        origins = centre[:, None] if of_pixels is None else of_pixels[part].T
+        yield _points_of_hits(mesh, part, face[part], rays[part].T, origins)
 
 
-def _coordinates_of_hits(
-    mesh: Mesh, face: NDArray[np.int64], ray: NDArray[np.float64], start: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """`(n, 2)` surface coordinates where rays `(3, n)` from points `(3, n)` or `(3, 1)` meet triangles."""
+def _points_of_hits(
+    mesh: Mesh,
+    pixels: NDArray[np.intp],
+    face: NDArray[np.int64],
+    ray: NDArray[np.float64],
+    start: NDArray[np.float64],
+) -> SurfacePoints:
+    """The points where rays `(3, n)` from points `(3, n)` or `(3, 1)` meet triangles."""
     corners = mesh.faces[face]
     first, second, third = (mesh.vertices[corners[:, corner]].astype(np.float64).T for corner in range(3))
     edge1, edge2 = second - first, third - first
@@ -255,9 +292,7 @@ def _coordinates_of_hits(
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.nan_to_num(np.clip((origin * p).sum(axis=0) / determinant, 0.0, 1.0))
         v = np.nan_to_num(np.clip((ray * q).sum(axis=0) / determinant, 0.0, 1.0 - u))
-    uv1, uv2, uv3 = (mesh.uv[corners[:, corner]].T for corner in range(3))
-    coordinates: NDArray[np.float64] = ((1.0 - u - v) * uv1 + u * uv2 + v * uv3).T
-    return coordinates
+    return SurfacePoints(pixels, face, corners, u, v)
 
 
 def _visible_faces(face: NDArray[np.int64], count: int) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:

@@ -67,7 +67,7 @@ class DifferentiableRenderer:
         flash_nodes_nm: `(m,)` evenly over the range in which the sensor detects the flash.
 
     Raises:
-        InputError: unknown quality, or fruit have the colours of scans and no pigments.
+        InputError: unknown quality, fruit have the colours of scans and no pigments, or the sensor has bands.
         ValueError: a surface differs from what the cultivar's pigments make, or `flash_weights` is below 1.
     """
 
@@ -87,6 +87,10 @@ class DifferentiableRenderer:
                 "has fruit with the colours of scans, which have no pigments to fit: set scan_colour = false"
             )
             raise ArgumentError("scene", problem)
+        if camera.sensor.pattern == "bands":
+            raise ArgumentError(
+                "camera", f"needs a colour or monochrome sensor; {camera.sensor.name} has bands"
+            )
         quality = find_quality(quality) if isinstance(quality, str) else quality
         self._camera = camera
 

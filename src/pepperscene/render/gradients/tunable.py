@@ -28,8 +28,8 @@ from pepperscene.render.gradients.pigment_models import (
     path_values,
     pigment_model,
 )
+from pepperscene.render.surface.channel_colours import spectra_rows
 from pepperscene.render.surface.cuticle import cuticle_tables, narrowest_alpha
-from pepperscene.render.surface.optics import spectra_rows
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, PigmentPath

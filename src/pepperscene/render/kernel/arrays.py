@@ -21,6 +21,9 @@ from pepperscene.render.variant import mitsuba_modules
 ALIGNMENT: Final = 64
 """Bytes: the widest vector register (AVX-512), and a cache line."""
 
+BATCH: Final = 4
+"""Bands that one kernel computes at a time: as many as wavelengths, so that the same code serves both."""
+
 
 def device_array(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
     """Copy values to a flat device array, aligned to `ALIGNMENT`; a single entry is repeated.
@@ -44,6 +47,15 @@ def device_array(values: ArrayLike, dtype: DTypeLike = np.float32) -> Any:
     aligned[: source.size].reshape(source.shape)[...] = source
     aligned[source.size :] = aligned[0]
     return (mi.Float if kind.name == "float32" else mi.UInt32)(aligned)
+
+
+def channel_array(count: int) -> Any:
+    """The type of light in so many sensor channels: 1, 3, or `BATCH` of the bands of a sensor with bands.
+
+    The last is also that of light at wavelengths, of which a sample has as many.
+    """
+    mi, _ = mitsuba_modules()
+    return {1: mi.Color1f, 3: mi.Color3f, BATCH: mi.Spectrum}[count]
 
 
 def device_float(value: float) -> Any:

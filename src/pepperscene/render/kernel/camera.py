@@ -84,7 +84,9 @@ class CameraRays:
     Attributes:
         width, height: of the image, pixels.
         device_width: the width as kernel data, so that another image size compiles nothing.
-        slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixel corners.
+        slopes: `((h + 1) * (w + 1) * 2,)` undistorted (x/z, y/z) at the pixel corners; those of one row of a
+            line scanner.
+        row_stride: from the slopes of a row to those of the next, as kernel data; 0 for a line scanner.
         rotation: camera to world, at time 0 if the camera moves.
         origin: projection centre in local coordinates, at time 0.
         pixel_area: of a pixel at the principal point, at distance 1: the product of its sides' slopes.
@@ -98,6 +100,7 @@ class CameraRays:
     height: int
     device_width: Any
     slopes: Any
+    row_stride: Any
     rotation: Any
     origin: Any
     pixel_area: Any
@@ -150,7 +153,7 @@ class CameraRays:
     def _camera_directions(self, column: Any, row: Any, dx: Any, dy: Any) -> Any:
         """Directions (x/z, y/z, 1) in camera axes, bilinear between the pixel corners."""
         mi, dr = mitsuba_modules()
-        first, width = row * (self.device_width + 1) + column, self.device_width
+        first, width = row * self.row_stride + column, self.device_width
         a, b, c, d = (
             dr.gather(mi.Point2f, self.slopes, first + offset) for offset in (0, 1, width + 1, width + 2)
         )
@@ -172,9 +175,18 @@ def camera_rays(
     origin = mi.Point3f(*(float(x) for x in coordinates.from_world(camera.pose[:3, 3])))
     dr.make_opaque(rotation, origin)
     width, matrix = device_uint(camera.width), camera.intrinsics
+    row_stride = device_uint(0 if camera.sensor.line_scan else camera.width + 1)
     pixel_area = device_float(1.0 / (matrix[0, 0] * matrix[1, 1]))
     rays = CameraRays(
-        camera.width, camera.height, width, slopes, rotation, origin, pixel_area, coordinates.unit_m
+        camera.width,
+        camera.height,
+        width,
+        slopes,
+        row_stride,
+        rotation,
+        origin,
+        pixel_area,
+        coordinates.unit_m,
     )
     if camera.focus_m is None:
         return rays
@@ -228,12 +240,14 @@ class SpectralResponse:
             lambda / (h c).
         flash: `(n,)` W sr-1 nm-1 on the axis of the flash, averaged over the exposure; zeros without a flash.
         density: `(n,)` wavelength sampling density: response times expected light.
+        by_band: whether the channels are bands, which are computed a few at a time.
     """
 
     grid_nm: NDArray[np.float64]
     electrons_per_joule: NDArray[np.float64]
     flash: NDArray[np.float64]
     density: NDArray[np.float64]
+    by_band: bool = False
 
     @property
     def trapezoid_nm(self) -> NDArray[np.float64]:
@@ -278,7 +292,7 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
     response = (electrons / np.where(peaks > 0, peaks, 1.0)).sum(axis=1)
     density = response * (np.mean(lights, axis=0) if lights else np.ones(grid.size))
     density = density / density.sum() + response / response.sum() + 1e-3 / grid.size
-    return SpectralResponse(grid, electrons, flash, density)
+    return SpectralResponse(grid, electrons, flash, density, camera.sensor.pattern == "bands")
 
 
 def detected_wavelengths(sensor: Sensor) -> NDArray[np.float64]:

@@ -156,19 +156,27 @@ class LightScene:
         With `optics`, the surfaces are as seen by a sensor's channels, else with their spectra; `footprint`
         as of `Optics.point`.
         """
+        return (optics or self.optics).point(*self._at_hit(si, hit, active, footprint))
+
+    def surface_place(self, si: Any, hit: Any, active: Any, footprint: Any | None = 0.0) -> Any:
+        """What the optical state at surface interactions is at all wavelengths: see `Optics.locate`."""
+        return self.optics.locate(*self._at_hit(si, hit, active, footprint))
+
+    def _at_hit(self, si: Any, hit: Any, active: Any, footprint: Any | None) -> tuple[Any, ...]:
+        """Arguments of `Optics.point`."""
         mi, dr = mitsuba_modules()
         corners = dr.gather(mi.Vector4f, self.face_states, hit.prim_index, active)
         u, v = hit.prim_uv.x, hit.prim_uv.y
         state = corners.x * (1.0 - u - v) + corners.y * u + corners.z * v
-        at_hit, optics = (si, mi.UInt32(corners.w), state, active, footprint), optics or self.optics
+        at_hit = si, mi.UInt32(corners.w), state, active, footprint
         if self.colours is None:
-            return optics.point(*at_hit)
+            return at_hit
         vertices = self.shape.face_indices(hit.prim_index, active)
         a, b, c = (
             dr.gather(mi.Vector4f, self.colours, vertex, active)
             for vertex in (vertices.x, vertices.y, vertices.z)
         )
-        return optics.point(*at_hit, a * (1.0 - u - v) + b * u + c * v)
+        return (*at_hit, a * (1.0 - u - v) + b * u + c * v)
 
 
 def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:

@@ -24,7 +24,9 @@ from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.materials import Surface
 from pepperscene.materials.gloss import BLUR_NODES, LARGEST_BLUR, TABLE_SIZE
 from pepperscene.materials.surface import AGEING_RANGE
-from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
+from pepperscene.render.kernel.arrays import channel_array, device_array, device_float, device_uint
+from pepperscene.render.surface.body import BodyPlace, SurfacePlace
+from pepperscene.render.surface.channel_colours import channel_colours, channel_fractions, spectra_rows
 from pepperscene.render.surface.cuticle import cuticle_tables, narrowest_alpha
 from pepperscene.render.surface.microfacets import GlossLobes
 from pepperscene.render.surface.scanned_colours import ScannedColours
@@ -37,6 +39,8 @@ STEP_NM: Final = 0.5
 spread over a pixel's samples that is the midpoint rule; its error is below 2e-5 for all shipped surfaces.
 With 1 nm it is 3e-4 of a leaf's blue signal, because a flash's blue LED changes by 6 % per nanometre."""
 
+_COLOURS: Final = (1, 3)  # channels of sensors without bands
+
 _MOST_COVER: Final = 0.95
 """Largest cover with residue, as `Surface` describes."""
 
@@ -47,7 +51,7 @@ class Optics:
 
     Attributes:
         first_nm: wavelength of the first column of `spectra`.
-        columns: wavelengths per row, `STEP_NM` apart.
+        columns: wavelengths per row, `STEP_NM` apart; or bands.
         spectra: `(rows * columns * 4,)` reflectance of front and back, transmittance, and, for channels, the
             variance of their sum over wavelength.
         organs: `(o * 4,)` number of an organ's surface; 1 plus that of its texture, negative if mirrored in
@@ -127,15 +131,18 @@ class Optics:
         )
 
     def by_channel(self, weights: NDArray[np.float64]) -> Optics:
-        """Integrate the spectra to the colours that c sensor channels, 1 or 3, see under one light.
+        """Integrate the spectra to the colours that c sensor channels see under one light.
 
         Args:
-            weights: `(n, c)` response times light on the grid of the spectra; any scale.
+            weights: `(n, c)` response times light on the grid of the spectra; any scale. c is 1, 3 or, for
+                bands, a multiple of `BATCH`.
         """
-        spectra = np.asarray(self.spectra).reshape(-1, len(weights), 4)
-        colours = channel_colours(spectra, weights)
+        spectra, channels = np.asarray(self.spectra).reshape(-1, len(weights), 4), weights.shape[1]
+        colours = device_array(channel_colours(spectra, weights))
         scanned = None if self.scanned is None else self.scanned.by_channel(channel_fractions(weights))
-        return replace(self, spectra=device_array(colours), channels=weights.shape[1], scanned=scanned)
+        # The number of bands is kernel data, so that another one compiles nothing.
+        columns = self.columns if channels in _COLOURS else device_uint(channels)
+        return replace(self, spectra=colours, channels=channels, columns=columns, scanned=scanned)
 
     def with_colours(
         self, surfaces: Sequence[Surface], grid_nm: NDArray[np.float64], weights: NDArray[np.float64]
@@ -175,6 +182,19 @@ class Optics:
             colour: linear sRGB of the body, negative where pigments give the colour; None for pigments
                 everywhere.
         """
+        surface = self.locate(si, organ, state, active, footprint, colour)
+        return self.seen(surface, self._columns(si.wavelengths), active)
+
+    def locate(
+        self,
+        si: Any,
+        organ: Any,
+        state: Any,
+        active: Any,
+        footprint: Any | None = 0.0,
+        colour: Any | None = None,
+    ) -> SurfacePlace:
+        """Look up what the optical state at surface interactions is at all wavelengths; see `point`."""
         mi, dr = mitsuba_modules()
         values = dr.gather(mi.Vector4f, self.organs, organ, active)
         surface, texture = mi.UInt32(values.x), mi.UInt32(dr.maximum(dr.abs(values.y) - 1.0, 0.0))
@@ -208,31 +228,69 @@ class Optics:
             )
             for number, is_front in ((side, in_front), (side ^ 1, ~in_front))
         )
-        leaving = dr.minimum(1.0, far.mean / near.mean)
 
-        # The body under residue. On a relief, light beyond the horizon meets it again.
+        # The pigment state of the body.
         body = dr.gather(mi.Vector4f, self.bodies, surface, active)
         aged = dr.clip(values.w - texel.ageing, 0.0, 1.0) * body.z
         healthy = dr.clip(state + texel.state, 0.0, 1.0)
-        front, back, through, variance = self._body(
-            si.wavelengths, body, healthy - dr.minimum(aged, 1.0) * (1.0 + healthy), active
+        row, next_row, fraction = _between_states(body, healthy - dr.minimum(aged, 1.0) * (1.0 + healthy))
+        place = BodyPlace(
+            row=row,
+            next_row=next_row,
+            fraction=fraction,
+            residue=body.w,
+            cover=cover,
+            cover_behind=cover_behind,
+            in_front=in_front,
+            leaving=dr.minimum(1.0, far.mean / near.mean),
+            lost=None if footprint is None else 0.5 * (1.0 - frame.n.z),
+            # Rounding may take the scanned black below 0.
+            is_scanned=None if colour is None or self.scanned is None else colour.x > 0.5 * PIGMENTS,
+            colour=colour,
         )
-        if colour is not None and self.scanned is not None:
-            is_scanned = colour.x > 0.5 * PIGMENTS  # rounding may take black below 0
-            seen, spread = self.scanned.body(self._columns(si.wavelengths), colour, active)
-            front, back = dr.select(is_scanned, seen, front), dr.select(is_scanned, seen, back)
-            through, variance = dr.select(is_scanned, 0.0, through), dr.select(is_scanned, spread, variance)
-        squared, least = through * through * body.w, 1e-6
-        front_backed = front + cover_behind * squared / dr.maximum(1.0 - body.w * back, least)
-        back_backed = back + cover * squared / dr.maximum(1.0 - body.w * front, least)
-        front = dr.lerp(front_backed, body.w, cover)
-        back = dr.lerp(back_backed, body.w, cover_behind)
+        return SurfacePlace(place, frame, wi, gloss, near, far)
+
+    def seen(self, surface: SurfacePlace, columns: Any, active: Any) -> SurfacePoint:
+        """The optical state at a place in some columns of the tables."""
+        mi, dr = mitsuba_modules()
+        reflectance, transmittance = self.reflectances(surface.body, columns, active)
+        return SurfacePoint(
+            frame=surface.frame,
+            wi=surface.wi,
+            flip=dr.select(surface.body.in_front, mi.Float(1.0), mi.Float(-1.0)),
+            reflectance=reflectance,
+            transmittance=transmittance,
+            gloss=surface.gloss,
+            entering=surface.near.at(self.openness, surface.wi.z),
+            openness=self.openness,
+            near=surface.near,
+            far=surface.far,
+        )
+
+    def reflectances(self, place: BodyPlace, columns: Any, active: Any) -> tuple[Any, Any]:
+        """R' and T' of the body at a place, in some columns of the tables: see `SurfacePoint`.
+
+        The body is under residue. On a relief, light beyond the horizon meets it again.
+        """
+        _, dr = mitsuba_modules()
+        cover, cover_behind, residue = place.cover, place.cover_behind, place.residue
+        front, back, through, variance = self._body(place, columns, active)
+        if place.is_scanned is not None and self.scanned is not None:
+            seen, spread = self.scanned.body(columns, place.colour, active)
+            front, back = dr.select(place.is_scanned, seen, front), dr.select(place.is_scanned, seen, back)
+            through = dr.select(place.is_scanned, 0.0, through)
+            variance = dr.select(place.is_scanned, spread, variance)
+        squared, least = through * through * residue, 1e-6
+        front_backed = front + cover_behind * squared / dr.maximum(1.0 - residue * back, least)
+        back_backed = back + cover * squared / dr.maximum(1.0 - residue * front, least)
+        front = dr.lerp(front_backed, residue, cover)
+        back = dr.lerp(back_backed, residue, cover_behind)
         through *= (1.0 - cover) * (1.0 - cover_behind)
-        total = dr.select(in_front, front, back) + through
-        transmitted = through * leaving
-        if footprint is not None:
-            lost = 0.5 * (1.0 - frame.n.z)
-            total_behind = dr.select(in_front, back, front) + through
+        total = dr.select(place.in_front, front, back) + through
+        transmitted = through * place.leaving
+        if place.lost is not None:
+            lost = place.lost
+            total_behind = dr.select(place.in_front, back, front) + through
             # In a channel, the mean of what is scattered twice exceeds the square of the mean.
             variance *= dr.square(1.0 - cover)
             again, again_behind = (
@@ -240,18 +298,7 @@ class Optics:
                 for both in (total, total_behind)
             )
             total, transmitted = total * again, transmitted * dr.minimum(again, again_behind)
-        return SurfacePoint(
-            frame=frame,
-            wi=wi,
-            flip=dr.select(in_front, mi.Float(1.0), mi.Float(-1.0)),
-            reflectance=dr.maximum(total - transmitted, 0.0),
-            transmittance=transmitted,
-            gloss=gloss,
-            entering=near.at(self.openness, wi.z),
-            openness=self.openness,
-            near=near,
-            far=far,
-        )
+        return dr.maximum(total - transmitted, 0.0), transmitted
 
     def _columns(self, wavelengths: Any) -> Any:
         """Columns of `spectra`: one for each channel, or those nearest to wavelengths."""
@@ -271,33 +318,36 @@ class Optics:
         row = dr.minimum(dr.floor(position), BLUR_NODES - 2.0)
         return mi.UInt32(row) * (TABLE_SIZE + 1), position - row
 
-    def _body(self, wavelengths: Any, body: Any, state: Any, active: Any) -> Any:
-        """Front and back reflectance, transmittance, and the variance in a channel of their sum.
-
-        `body` is the surface's entry of `bodies`, and `state` in [-1, 1] if it ages, else in [0, 1].
-        """
+    def _body(self, place: BodyPlace, columns: Any, active: Any) -> Any:
+        """Front and back reflectance, transmittance, and the variance in a channel of their sum."""
         mi, dr = mitsuba_modules()
-        last_state = body.y
-        position = dr.select(body.z > 0.0, 0.5 * (state + 1.0), state) * last_state
-        low = dr.floor(position)
-        row = mi.UInt32(body.x) + mi.UInt32(low)
-        next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low)
-        columns = self._columns(wavelengths)
-        spectrum, row_length = (mi.Color3f if self.channels == 3 else mi.Color1f), self.channels
-        if self.channels is None:
-            spectrum, row_length = mi.Spectrum, self.columns
+        row_length = self.channels if self.channels in _COLOURS else self.columns
+        spectrum = channel_array(len(columns))
         front, back, through = (spectrum(0.0) for _ in range(3))
         variance = spectrum(0.0)
         for k, column in enumerate(columns):
-            entry = row * row_length + column
+            entry = place.row * row_length + column
             a = dr.gather(mi.Vector4f, self.spectra, entry, active)
-            b = dr.gather(mi.Vector4f, self.spectra, entry + next_row * row_length, active)
-            front[k] = dr.lerp(a.x, b.x, position - low)
-            back[k] = dr.lerp(a.y, b.y, position - low)
-            through[k] = dr.lerp(a.z, b.z, position - low)
+            b = dr.gather(mi.Vector4f, self.spectra, entry + place.next_row * row_length, active)
+            front[k] = dr.lerp(a.x, b.x, place.fraction)
+            back[k] = dr.lerp(a.y, b.y, place.fraction)
+            through[k] = dr.lerp(a.z, b.z, place.fraction)
             if self.channels is not None:
-                variance[k] = dr.lerp(a.w, b.w, position - low)
+                variance[k] = dr.lerp(a.w, b.w, place.fraction)
         return front, back, through, variance
+
+
+def _between_states(body: Any, state: Any) -> tuple[Any, Any, Any]:
+    """Row of the spectra below a pigment state, rows to the one above, and the fraction of the way there.
+
+    `body` is the surface's entry of `bodies`, and `state` in [-1, 1] if it ages, else in [0, 1].
+    """
+    mi, dr = mitsuba_modules()
+    last_state = body.y
+    position = dr.select(body.z > 0.0, 0.5 * (state + 1.0), state) * last_state
+    low = dr.floor(position)
+    next_row = mi.UInt32(dr.minimum(low + 1.0, last_state) - low)
+    return mi.UInt32(body.x) + mi.UInt32(low), next_row, position - low
 
 
 def _relief(si: Any, texel: TextureSample) -> tuple[Any, Any]:
@@ -321,44 +371,6 @@ def _relief(si: Any, texel: TextureSample) -> tuple[Any, Any]:
     frame = mi.Frame3f(dr.normalize(mi.Normal3f(-gx * limit, -gy * limit, 1.0)))
     blur = texel.variance_u * (u_x * u_x + u_y * u_y) + texel.variance_v * (v_x * v_x + v_y * v_y)
     return frame, dr.clip(blur, 0.0, LARGEST_BLUR)
-
-
-def channel_fractions(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`(n, c)` share of each wavelength in what a channel detects, from response times light."""
-    total = weights.sum(axis=0)
-    return np.asarray(weights / np.where(total > 0.0, total, 1.0))
-
-
-def channel_colours(spectra: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Integrate spectra to colours; see `Optics.by_channel`.
-
-    Args:
-        spectra: `(r, n, 4)` front and back reflectance, transmittance, 0.
-        weights: `(n, c)` response times light.
-
-    Returns:
-        `(r, c, 4)`; the last entry is the variance over wavelength of what a side scatters.
-    """
-    fractions = channel_fractions(weights)
-    colours = np.einsum("rls,lc->rcs", spectra.astype(np.float64), fractions)
-    # The variance hardly differs between front and back.
-    for side in (0, 1):
-        scattered = spectra[..., side].astype(np.float64) + spectra[..., 2]
-        mean = colours[..., side] + colours[..., 2]
-        squares = np.einsum("rl,lc->rc", scattered**2, fractions)
-        colours[..., 3] += 0.5 * np.maximum(squares - mean**2, 0.0)
-    return np.asarray(colours)
-
-
-def spectra_rows(surface: Surface, grid_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`(s, n, 4)` spectra of a surface by state: front and back reflectance, transmittance, 0."""
-
-    def resample(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.stack([np.interp(grid_nm, surface.wavelength_nm, row) for row in rows])
-
-    front, back = resample(surface.reflectance[:, 0]), resample(surface.reflectance[:, 1])
-    through = resample(surface.transmittance)
-    return np.stack([front, back, through, np.zeros_like(front)], axis=-1)
 
 
 def _ageing_rate(surface: Surface) -> float:

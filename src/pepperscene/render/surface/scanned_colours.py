@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.materials.srgb_reflectance import srgb_basis
-from pepperscene.render.kernel.arrays import device_array
+from pepperscene.render.kernel.arrays import channel_array, device_array
 from pepperscene.render.variant import mitsuba_modules
 
 
@@ -51,9 +51,9 @@ class ScannedColours:
             active: mask.
         """
         mi, dr = mitsuba_modules()
+        spectrum = channel_array(len(columns))
         r, g, b = (dr.clip(component, 0.0, 1.0) for component in (colour.x, colour.y, colour.z))
         is_channel = self.variances is not None
-        spectrum = mi.Spectrum if not is_channel else mi.Color3f if len(columns) == 3 else mi.Color1f
         reflectance, variance = spectrum(0.0), spectrum(0.0)
         for k, column in enumerate(columns):
             row = dr.gather(mi.Vector4f, self.basis, mi.UInt32(column), active)

@@ -111,6 +111,8 @@ class SurfacePoint:
         entering: 1 - E, the fraction of light along `wi` that reaches the body or the residue.
         openness: tables of all cuticles.
         near, far: openness of the cuticles on the viewer's side and on the other.
+        by_lobe: whether values are given by lobe: the factor of the reflectance, that of the transmittance,
+            and the gloss, as a `Color3f`. Directions are sampled as otherwise.
     """
 
     frame: Any
@@ -123,6 +125,7 @@ class SurfacePoint:
     openness: Any
     near: SideOpenness
     far: SideOpenness
+    by_lobe: bool = False
 
     def eval_pdf(self, wo: Any) -> Any:
         """BSDF times cosine, and sampling density, for a direction in the smooth local frame."""
@@ -188,7 +191,7 @@ class SurfacePoint:
 
     def eval_pdf_in_relief(self, wo: Any, active: Any) -> Any:
         """BSDF times cosine, and density, for a direction in the relief's frame with the viewer above."""
-        _, dr = mitsuba_modules()
+        mi, dr = mitsuba_modules()
         cos_i, cos_o = self.wi.z, dr.abs(wo.z)
         same_side = wo.z > 0.0
         lambert = cos_o * dr.inv_pi
@@ -197,8 +200,11 @@ class SurfacePoint:
         diffuse = self.entering * leaving * lambert
         gloss_value, gloss_density = self.gloss.eval_pdf(self.wi, wo)
         gloss_value *= 1.0 - self.near.cover
-        body = dr.select(same_side, self.reflectance, self.transmittance)
-        value = diffuse * body + (gloss_value & same_side)
+        if self.by_lobe:
+            value = mi.Color3f(diffuse & same_side, diffuse & ~same_side, gloss_value & same_side)
+        else:
+            body = dr.select(same_side, self.reflectance, self.transmittance)
+            value = diffuse * body + (gloss_value & same_side)
 
         gloss, through = self._lobe_probabilities()
         lambert *= 1.0 - gloss
@@ -243,10 +249,15 @@ class SideOpenness:
         return dr.lerp(dr.lerp(smaller, larger, self.blur), 1.0, self.cover)
 
 
+def by_lobe(lobes: Any, reflectance: Any, transmittance: Any) -> Any:
+    """Values by wavelength or channel from values by lobe; see `SurfacePoint.by_lobe`."""
+    return lobes.x * reflectance + lobes.y * transmittance + lobes.z
+
+
 def select_point(mask: Any, first: SurfacePoint, second: SurfacePoint) -> SurfacePoint:
     """The first optical state where the mask is true, else the second; both of the same surfaces."""
     _, dr = mitsuba_modules()
-    names = [field.name for field in fields(SurfacePoint) if field.name != "openness"]
+    names = [field.name for field in fields(SurfacePoint) if field.name not in ("openness", "by_lobe")]
     return replace(
         first, **{name: dr.select(mask, getattr(first, name), getattr(second, name)) for name in names}
     )

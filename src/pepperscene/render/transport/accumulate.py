@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 Images = NDArray[np.float32]
 Counts = NDArray[np.int32]
-SampleSums = Sequence[Images]
-"""Sums over samples, one `(n,)` array for each quantity."""
+SampleSums = Sequence[Images | None]
+"""Sums over samples, one `(n,)` array for each quantity; None for zeros."""
 
 
 @dataclass(frozen=True, eq=False)
 class TracedLight:
-    """The light of one frame, integrated over wavelength by the sensor, per pixel and channel (c, 3 or 1).
+    """The light of one frame, integrated over wavelength by the sensor, per pixel and channel (c).
 
     `pepperscene.render.transport` defines direct and indirect light.
 
@@ -27,7 +27,7 @@ class TracedLight:
         sky_and_sun: `(h, w, c)` direct light of the sky and the sun.
         indirect: `(h, w, c)` indirect light.
         albedo: `(h, w, c)` of the first hit, weighted by the response to the flash, 0 without a hit; for the
-            denoiser, as are normal and coverage.
+            denoiser, as are normal and coverage. For sensors with bands `(h, w, 3)`, in broad channels.
         normal: `(h, w, 3)` of the relief at the first hit, towards the camera, 0 without a hit.
         coverage: `(h, w, 2)` fraction of the samples that hit a surface: of all, and of the indirect ones.
         variance: between the samples.
@@ -71,17 +71,21 @@ class SampleAccumulator:
     Args:
         height, width: of the image, pixels.
         white: `(c,)` see `SampleVariance`.
+        guides: channels of the albedo; None for c.
 
     Attributes:
         samples: `(h * w,)` number of direct samples.
         indirect_samples: number of indirect samples, in every pixel.
     """
 
-    def __init__(self, height: int, width: int, white: NDArray[np.float64]) -> None:
+    def __init__(
+        self, height: int, width: int, white: NDArray[np.float64], guides: int | None = None
+    ) -> None:
         self._shape, self.white = (height, width), white
         c = self.channels = len(white)
         # One row per quantity: adding whole images is fastest.
-        self._direct = np.zeros((3 * c + 5, height * width), np.float32)
+        self._guides = c if guides is None else guides
+        self._direct = np.zeros((2 * c + self._guides + 5, height * width), np.float32)
         self._indirect = np.zeros((c + 2, height * width), np.float32)
         self.samples = np.zeros(height * width, np.int32)
         self.indirect_samples = 0
@@ -90,13 +94,14 @@ class SampleAccumulator:
         """Add samples of direct light in some pixels, given as row-major indices, or in all.
 
         Args:
-            sums: over `count` samples: flash, sky and sun, albedo, normal, hits, squares; 3 c + 5 arrays.
+            sums: over `count` samples: flash, sky and sun, albedo, normal, hits, squares.
             count: number of samples.
             pixels: None for all.
         """
         selection = slice(None) if pixels is None else pixels
         for total, part in zip(self._direct, sums, strict=True):
-            total[selection] += part
+            if part is not None:
+                total[selection] += part
         self.samples[selection] += count
 
     def add_all(self, sums: SampleSums, count: int) -> None:
@@ -104,7 +109,8 @@ class SampleAccumulator:
         direct = len(self._direct)
         self.add_direct(sums[:direct], count)
         for total, part in zip(self._indirect, [*sums[direct:], sums[direct - 2]], strict=True):
-            total += part
+            if part is not None:
+                total += part
         self.indirect_samples += count
 
     def total(self) -> Images:
@@ -127,6 +133,7 @@ class SampleAccumulator:
     def light(self) -> TracedLight:
         """Compute means and variances; later samples do not change them."""
         c, per_sample = self.channels, (1.0 / self.samples).astype(np.float32)
+        albedo_end = 2 * c + self._guides
         hit = self._direct[-2] * per_sample
         indirect_hit = (
             self._indirect[-1] / np.float32(self.indirect_samples) if self.indirect_samples else hit
@@ -135,8 +142,8 @@ class SampleAccumulator:
             flash=self._image(self._direct[:c] * per_sample),
             sky_and_sun=self._image(self._direct[c : 2 * c] * per_sample),
             indirect=self._image(self._indirect_mean()),
-            albedo=self._image(self._direct[2 * c : 3 * c] * per_sample),
-            normal=self._image(self._direct[3 * c : 3 * c + 3] * per_sample),
+            albedo=self._image(self._direct[2 * c : albedo_end] * per_sample),
+            normal=self._image(self._direct[albedo_end : albedo_end + 3] * per_sample),
             coverage=self._image(np.stack([hit, indirect_hit])),
             variance=SampleVariance(
                 samples=self.samples.reshape(self._shape).copy(),

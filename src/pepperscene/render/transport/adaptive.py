@@ -1,8 +1,9 @@
 """Adaptive sampling: stop where the error of the light is hidden by the sensor noise in the image.
 
 Error and noise are compared as they are visible: in 8-bit codes of the developed image, root mean square
-over the image. Stratified samples of edges and penumbras do better than independent ones: an edge through a
-pixel cuts about sqrt(n) of n cells, so the variance of the mean is
+over the image. Sensors with bands have no such image: their codes are parts of full scale, linear, and the
+mean square is also taken over the bands. Stratified samples of edges and penumbras do better than independent
+ones: an edge through a pixel cuts about sqrt(n) of n cells, so the variance of the mean is
 
     V(n) = VARIANCE_GAIN s^2 n^(-3/2)
 
@@ -14,13 +15,14 @@ that the next pixel shows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, correct_colours, expected_electrons, pedestal
+from pepperscene.camera import Camera, correct_colours, electrons_per_light, pedestal
 from pepperscene.frame import is_target_met
 from pepperscene.render.transport.accumulate import SampleAccumulator, TracedLight, indirect_share
 
@@ -66,7 +68,7 @@ class AdaptiveSampler:
         if self.target is None:
             return accumulator.samples
         # The first samples are enough to estimate how light appears in the image.
-        codes = self._code_response(accumulator.total(), accumulator.white)
+        codes = self._code_response(accumulator.total, accumulator.white)
         direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
         indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
         # Direct light may have the error that indirect light leaves of the target, at least half of it.
@@ -86,7 +88,7 @@ class AdaptiveSampler:
 
     def metadata(self, light: TracedLight) -> dict[str, Any]:
         """Describe the samples of a finished frame and their error, for its JSON file."""
-        variance, codes = light.variance, self._code_response(light.total(), light.variance.white)
+        variance, codes = light.variance, self._code_response(light.total, light.variance.white)
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
         factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
@@ -110,9 +112,9 @@ class AdaptiveSampler:
         """Fraction of the variance of indirect light that remains; `share` is its part of all light."""
         return denoised_error(share) ** 2 if self._denoised else 1.0
 
-    def _code_response(self, signal: Floats, white: NDArray[np.float64]) -> CodeResponse:
+    def _code_response(self, signal: Callable[[], Floats], white: NDArray[np.float64]) -> CodeResponse:
         if self._codes is None:
-            self._codes = code_response(signal, white, self.camera)
+            self._codes = code_response(signal(), white, self.camera)
         return self._codes
 
     def _distribute(self, variance: Floats, allowed: float) -> NDArray[np.float32]:
@@ -181,13 +183,12 @@ def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) ->
         white: `(c,)` see `SampleVariance`.
         camera: with the sensor's noise and the developing from light to codes.
     """
-    channels = camera.sensor.channels
-    per_light = expected_electrons(np.ones((camera.height, camera.width, 1)).repeat(channels, -1), camera)
-    electrons, matrix = per_light.astype(np.float32), _colour_matrix(camera)
-    del per_light
+    electrons = electrons_per_light(camera).astype(np.float32)[..., None]
+    matrix = None if camera.sensor.pattern == "bands" else _colour_matrix(camera)
     # By whole rows, so that intermediate results of a large image take little memory.
     noise, per_white = (np.empty((camera.height, camera.width), np.float32) for _ in range(2))
-    step = max(_ROWS_PIXELS // camera.width, 1)
+    # As much memory for any number of bands.
+    step = max(_ROWS_PIXELS // (camera.width * max(camera.sensor.channels // 3, 1)), 1)
     for top in range(0, camera.height, step):
         rows = slice(top, top + step)
         noise[rows], per_white[rows] = _rows_response(signal[rows], electrons[rows], white, matrix, camera)
@@ -195,28 +196,40 @@ def code_response(signal: Floats, white: NDArray[np.float64], camera: Camera) ->
 
 
 def _rows_response(
-    signal: Floats, electrons: Floats, white: NDArray[np.float64], matrix: Floats, camera: Camera
+    signal: Floats, electrons: Floats, white: NDArray[np.float64], matrix: Floats | None, camera: Camera
 ) -> tuple[Floats, Floats]:
-    """Noise and codes per unit of white of some rows; `electrons` are those of a unit of light."""
+    """Noise and codes per unit of white of some rows; `electrons` are those of a unit of light.
+
+    Without a matrix, the channels are the codes: see above.
+    """
     sensor = camera.sensor
     full_scale = np.float32(1.0 / (sensor.gain_e_per_dn * (sensor.full_scale_dn - sensor.black_level_dn)))
     charge = np.maximum(signal * electrons, np.float32(0.0))
-    linear = (charge * full_scale) @ matrix + _lift(camera)
-    slope = _tone_slope(linear, camera.developing.tone)
     quantisation = sensor.gain_e_per_dn**2 / 12.0 if camera.developing.quantise else 0.0
     variance = (charge + np.float32(sensor.read_noise_e**2 + quantisation)) * (
         full_scale**2 / np.array(sensor.photosites, np.float32)
     )
+    if matrix is None:
+        codes = _normalised(signal, white) * white.astype(np.float32) * electrons * full_scale
+        by_noise, by_light = (np.sqrt(np.mean(part, axis=-1)) for part in (variance, np.square(codes)))
+        return np.float32(255.0) * by_noise, np.float32(255.0) * by_light
+    linear = (charge * full_scale) @ matrix + _lift(camera)
+    slope = _tone_slope(linear, camera.developing.tone)
     # Noise above the signal itself is clipped at black, where the tone curve would be steepest.
     deviation = np.sqrt(variance @ np.square(matrix))
     noise = deviation * _tone_slope(np.maximum(linear, deviation), camera.developing.tone)
     noise = np.sqrt(np.mean(np.square(noise), axis=-1))
     # The error has the pixel's own colour, normalised in units of white.
     unit = white.astype(np.float32)
-    colour = np.maximum(signal / unit, np.float32(0.0)) + np.float32(1e-12)
-    colour /= np.sqrt(np.sum(np.square(colour), axis=-1, keepdims=True))
-    codes = slope * ((colour * unit * electrons * full_scale) @ matrix)
+    codes = slope * ((_normalised(signal, white) * unit * electrons * full_scale) @ matrix)
     return noise, np.sqrt(np.mean(np.square(codes), axis=-1))
+
+
+def _normalised(signal: Floats, white: NDArray[np.float64]) -> Floats:
+    """`(..., c)` the colour of a signal in units of white, with the norm 1."""
+    colour = np.maximum(signal / white.astype(np.float32), np.float32(0.0)) + np.float32(1e-12)
+    colour /= np.sqrt(np.sum(np.square(colour), axis=-1, keepdims=True))
+    return colour
 
 
 def _colour_matrix(camera: Camera) -> Floats:

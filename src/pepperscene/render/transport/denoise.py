@@ -42,6 +42,7 @@ image falls by 1 % only.
 
 from __future__ import annotations
 
+import functools
 import sys
 from dataclasses import dataclass
 from functools import cache
@@ -53,6 +54,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.render.transport.accumulate import TracedLight, indirect_share
+from pepperscene.render.transport.band_denoise import denoise_bands
 
 Image = NDArray[np.float32]
 
@@ -105,19 +107,27 @@ def denoised_indirect(light: TracedLight) -> Image:
     level = float(light.indirect.mean(dtype=np.float64))
     if level <= 0.0:
         return light.indirect
+    if light.indirect.shape[-1] != light.albedo.shape[-1]:
+        # Bands, with an albedo in broad channels.
+        traced = np.asarray(light.indirect / level, np.float32)
+        return denoise_bands(traced, functools.partial(_denoise, light)) * np.float32(level)
+    return _denoise(light, np.asarray(light.indirect / level, np.float32)) * np.float32(level)
+
+
+def _denoise(light: TracedLight, traced: Image) -> Image:
+    """Denoise an image of indirect light about 1, with the guides of a frame."""
     # Guides and indirect light may come from different samples, so their coverage may differ.
     fractions = light.coverage[..., :1], light.coverage[..., 1:]
     of_guides = _Coverage.of(fractions[0])
     of_light = of_guides if np.array_equal(*fractions) else _Coverage.of(fractions[1])
     # The filter and its albedo expect values about 1.
-    traced = np.asarray(light.indirect / level, np.float32)
     albedo = np.clip(of_guides.extend(light.albedo), 0.0, 1.0)
     share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
     filtered = _apply_filter(
         of_light.extend(traced), albedo, of_guides.extend(light.normal), clean_guides=share > _CLEAN_FROM
     )
     filtered *= of_guides.fraction
-    return _restore_local_mean(filtered, traced) * np.float32(level)
+    return _restore_local_mean(filtered, traced)
 
 
 def _restore_local_mean(filtered: Image, traced: Image) -> Image:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.kernel.arrays import device_array, device_float
+from pepperscene.render.kernel.arrays import channel_array, device_array, device_float
 from pepperscene.render.kernel.camera import CameraRays, RayPose, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.surface.optics import Optics
@@ -174,7 +174,7 @@ def frame_tables(
 
     def colour(spectrum: NDArray[np.floating]) -> Any:
         values = integral(spectrum)
-        result = (mi.Color3f if len(values) == 3 else mi.Color1f)(*(float(x) for x in values))
+        result = channel_array(len(values))(*(float(x) for x in values))
         dr.make_opaque(result)
         return result
 

@@ -10,6 +10,7 @@ no. 4). A number depends on these and on the sample's index alone: samples can b
 
 from __future__ import annotations
 
+import copy
 from typing import Any, Final
 
 from pepperscene.render.variant import mitsuba_modules
@@ -34,6 +35,16 @@ class OwenSobol:
         self._pixel, self._seed = pixel, seed
         self._reversed_index = dr.brev(index)
         self.dimension: Any = 0
+
+    def subset(self, lanes: Any) -> OwenSobol:
+        """The next numbers of some lanes of the wavefront."""
+        mi, dr = mitsuba_modules()
+        part = copy.copy(self)
+        part._pixel, part._reversed_index = (
+            dr.gather(mi.UInt32, values, lanes) for values in (self._pixel, self._reversed_index)
+        )
+        dr.eval(part._pixel, part._reversed_index)
+        return part
 
     def next_1d(self) -> Any:
         """A number in [0, 1) for each sample."""

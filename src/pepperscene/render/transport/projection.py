@@ -18,7 +18,7 @@ from pepperscene.render.kernel.camera import CameraRays, RayPose, SpectralRespon
 from pepperscene.render.kernel.scene import LightScene
 from pepperscene.render.transport.lights import FrameTables, frame_tables
 from pepperscene.render.transport.samples import Samples
-from pepperscene.render.transport.trace import sum_samples
+from pepperscene.render.transport.wavefront import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 Images = NDArray[np.float32]
@@ -115,8 +115,8 @@ def projected_light(
     per_joule = (response.electrons_per_joule * (response.trapezoid_nm * power)[:, None]).sum(axis=0)
     weights = [device_float(value) for value in per_joule]
 
-    def dots(tables: FrameTables, drawn: Samples) -> list[Any]:
-        return _scattered_dots(tables, drawn, sampler, weights)
+    def dots(tables: FrameTables, drawn: Samples) -> list[list[Any]]:
+        return [_scattered_dots(tables, drawn, sampler, weights)]
 
     sums = sum_samples(tables, None, 0, samples, seed, dots)
     return np.stack(sums, axis=-1).reshape(rays.height, rays.width, -1) / np.float32(samples)

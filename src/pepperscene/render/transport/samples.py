@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
 from typing import Any, Final
 
 from pepperscene.render.surface.optics import STEP_NM
@@ -30,7 +32,18 @@ class Samples:
         # The flash is on the camera: it lights what a ray sees from where both are at the ray's time.
         self.pose = rays.pose(row, self.next_1d)
         start, direction = rays.sample_rays(self.pose, column, row, point, self.next_2d)
-        self.ray = mi.Ray3f(start, direction)
+        self.ray: Any = mi.Ray3f(start, direction)
+
+    def subset(self, lanes: Any) -> Samples:
+        """Some lanes of the wavefront, without their camera rays; the next random numbers are the same."""
+        mi, dr = mitsuba_modules()
+        part = copy.copy(self)
+        part.sequence = sequence = self.sequence.subset(lanes)
+        part.next_1d, part.next_2d, part.ray = sequence.next_1d, sequence.next_2d, None
+        if self.pose.motion is not None:
+            part.pose = replace(self.pose, time=dr.gather(mi.Float, self.pose.time, lanes))
+            dr.eval(part.pose.time)
+        return part
 
     def flash_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
         """Light of the flash at first hits, as the mean over evenly spread points with a shadow ray to each.
@@ -44,15 +57,15 @@ class Samples:
         offset, total = self.next_2d(), 0.0
         for k in range(_FLASH_POINTS):
             stratum = mi.Point2f((k + offset.x) / _FLASH_POINTS, offset.y)
-            light, target = self._unshadowed_flash(si, point, active, spectra, stratum)
-            total += light & ~self._occluded(si, target, active & dr.any(light > 0.0))
+            light, target = self.unshadowed_flash(si, point, active, spectra, stratum)
+            total += light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
         return total / _FLASH_POINTS
 
     def sun_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
         """Light of one point of the sun's disc."""
         if self.tables.sky is None or spectra.sun is None:
             return point.reflectance * 0.0
-        light, direction = self._unshadowed_sun(si, point, active, spectra)
+        light, direction = self.unshadowed_sun(si, point, active, spectra)
         return light & ~self.tables.scene.scene.ray_test(si.spawn_ray(direction), active)
 
     def flash_and_sun_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
@@ -70,8 +83,8 @@ class Samples:
         if not self.tables.roulette:
             return self._one_point_flash_light(*at_hit) + self.sun_light(*at_hit)
         _, dr = mitsuba_modules()
-        flash, target = self._unshadowed_flash(*at_hit, self.next_2d())
-        sun, direction = self._unshadowed_sun(*at_hit)
+        flash, target = self.unshadowed_flash(*at_hit, self.next_2d())
+        sun, direction = self.unshadowed_sun(*at_hit)
         both = dr.sum(flash) + dr.sum(sun)
         flash_fraction = dr.select(both > 0.0, dr.sum(flash) / dr.maximum(both, _TINY), 0.0)
         to_flash = self.next_1d() < flash_fraction
@@ -83,12 +96,11 @@ class Samples:
 
     def sky_radiance(self, direction: Any, active: Any, spectra: LightSpectra, *, with_sun: bool) -> Any:
         """Radiance of the sky from a direction; with the sun's disc if it is seen directly."""
-        mi, dr = mitsuba_modules()
+        _, dr = mitsuba_modules()
         sky = self.tables.sky
         if sky is None:
             return 0.0
-        azimuth = dr.atan2(direction.y, direction.x) * dr.inv_two_pi
-        uv = mi.Point2f(azimuth - dr.floor(azimuth), dr.safe_acos(direction.z) * dr.inv_pi)
+        uv = _sky_uv(direction)
         first: Any = spectra.sky[0] if spectra.sky else spectra.sun
         radiance = first * 0.0
         for weight, spectrum in zip(sky.weights.eval(uv, active), spectra.sky, strict=True):
@@ -99,17 +111,33 @@ class Samples:
             radiance += (spectra.sun / (dr.pi * square)) & in_disc
         return radiance & active
 
+    def sky_weights(self, direction: Any, active: Any, *, with_sun: bool) -> list[Any]:
+        """Factors of the sky's spectra, and then that of the sun's, in the radiance from a direction.
+
+        The sun's is there if the sky has one and `with_sun` asks for its disc.
+        """
+        mi, dr = mitsuba_modules()
+        sky = self.tables.sky
+        if sky is None:
+            return []
+        weights = [weight & active for weight in sky.weights.eval(_sky_uv(direction), active)]
+        if with_sun and sky.sun_frame is not None:
+            square = dr.square(sky.sun_chord)
+            in_disc = dr.squared_norm(direction - sky.sun_frame.n) < square
+            weights.append(mi.Float(dr.rcp(dr.pi * square)) & (in_disc & active))
+        return weights
+
     def _one_point_flash_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
         _, dr = mitsuba_modules()
-        light, target = self._unshadowed_flash(si, point, active, spectra, self.next_2d())
-        return light & ~self._occluded(si, target, active & dr.any(light > 0.0))
+        light, target = self.unshadowed_flash(si, point, active, spectra, self.next_2d())
+        return light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
 
-    def _occluded(self, si: Any, target: Any, active: Any) -> Any:
+    def is_occluded(self, si: Any, target: Any, active: Any) -> Any:
         """Whether a surface is between a hit and a point."""
         mi, _ = mitsuba_modules()
         return self.tables.scene.scene.ray_test(si.spawn_ray_to(target), mi.Bool(True), active)
 
-    def _unshadowed_flash(
+    def unshadowed_flash(
         self, si: Any, point: Any, active: Any, spectra: LightSpectra, sample: Any
     ) -> tuple[Any, Any]:
         """Unshadowed light of a point of the flash, and that point."""
@@ -119,7 +147,7 @@ class Samples:
         value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
         return (value * spectra.flash * falloff) & (active & (falloff > 0.0)), target
 
-    def _unshadowed_sun(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> tuple[Any, Any]:
+    def unshadowed_sun(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> tuple[Any, Any]:
         """Unshadowed light of a point of the sun's disc, and the direction to it."""
         mi, dr = mitsuba_modules()
         sky = self.tables.sky
@@ -131,6 +159,13 @@ class Samples:
         direction = sky.sun_frame.to_world(mi.Vector3f(across.x, across.y, 1.0 - 0.5 * square))
         value, _ = point.eval_pdf(si.to_local(direction))
         return (value * spectra.sun) & active, direction
+
+
+def _sky_uv(direction: Any) -> Any:
+    """Coordinates of directions in the texture of the sky's weights."""
+    mi, dr = mitsuba_modules()
+    azimuth = dr.atan2(direction.y, direction.x) * dr.inv_two_pi
+    return mi.Point2f(azimuth - dr.floor(azimuth), dr.safe_acos(direction.z) * dr.inv_pi)
 
 
 class SampleWavelengths:

@@ -7,8 +7,7 @@ carried by sensor channel, with its integrals over wavelength taken in advance; 
 carried at four wavelengths per sample. The first samples of a pixel trace both; where they show edges, more
 samples follow that stop at the first hit.
 
-The samples of a pixel are adjacent in the wavefront, so that the sum over a pixel is a block reduction: no
-atomics, and the same bits in each run, however the wavefront is split.
+Sensors with bands have the same light in another form: see `band_light`.
 """
 
 from __future__ import annotations
@@ -22,26 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.kernel.arrays import device_array, device_uint
+from pepperscene.render.kernel.arrays import device_uint
 from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
-from pepperscene.render.transport.accumulate import Counts, Images, SampleAccumulator, TracedLight
+from pepperscene.render.transport.accumulate import Counts, SampleAccumulator, SampleSums, TracedLight
+from pepperscene.render.transport.band_light import BandLight
 from pepperscene.render.transport.lights import FrameTables, frame_tables
+from pepperscene.render.transport.path_lengths import LONG_ROULETTE, ROULETTE
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
+from pepperscene.render.transport.wavefront import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
-_LANES: Final = 1 << 20
-"""Wavefront of a pass. Chosen: 25 results per sample take 105 MB. With twice as many the first frame of
-`demo` takes 130 MB more, and a further one 4.7 instead of 4.9 CPU seconds (medians of eight)."""
 _REFINEMENT_ROUNDS: Final = 3  # chosen
-_ROULETTE: Final = (2.0, 0.25)
-"""Chosen: a path survives with twice the fraction of light that it still carries, so that pale surfaces end
-no path, and at least with this probability, which bounds the weight of a survivor. Half of the former takes a
-quarter less time and has a fifth more noise: no gain."""
-_LONG_ROULETTE: Final = (0.5, 0.1)
-"""The same beyond `Sampling.bounces`. Chosen: a visible frame of `greenhouse` by daylight then takes 3 % more
-time than without these paths, with `_ROULETTE` 6 %; the noise of its soft samples rises from 1.20 to 1.31 of
-their mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +55,11 @@ class Sampling:
     required: Callable[[SampleAccumulator], Counts] | None = None
     most_bounces: int = 0
 
+    @property
+    def lengths(self) -> tuple[int, int]:
+        """`bounces` and `most_bounces`."""
+        return self.bounces, self.most_bounces
+
 
 def trace(
     scene: LightScene,
@@ -75,27 +71,29 @@ def trace(
     seed: int,
 ) -> TracedLight:
     """Trace the light that reaches each pixel of a camera in a scene with materials over its response."""
-    tables = frame_tables(scene, rays, response, flash, sky)
-    accumulator = SampleAccumulator(rays.height, rays.width, tables.white)
+    light: ChannelLight | BandLight
+    if response.by_band:
+        light = BandLight(scene, rays, response, flash, sky, sampling.lengths, seed)
+    else:
+        light = ChannelLight(frame_tables(scene, rays, response, flash, sky), sampling.lengths, seed)
+    accumulator = light.accumulator()
     first = 0
     # One traversal for all light, then the samples without indirect light.
-    if tables.has_lights:
+    if light.tables.has_lights:
         first = min(sampling.indirect, sampling.samples)
-        all_light = functools.partial(_all_light, bounces=sampling.bounces, most=sampling.most_bounces)
-        accumulator.add_all(sum_samples(tables, None, 0, first, seed, all_light), first)
+        accumulator.add_all(light.sum_all(first), first)
     if sampling.samples > first:
         remaining = sampling.samples - first
-        accumulator.add_direct(sum_samples(tables, None, first, remaining, seed, _direct_light), remaining)
+        accumulator.add_direct(light.sum_direct(None, first, remaining), remaining)
 
-    if not tables.has_lights or sampling.required is None:
+    if not light.tables.has_lights or sampling.required is None:
         return accumulator.light()
 
     # Continue the sample sequences of pixels that need more.
     for _ in range(_REFINEMENT_ROUNDS):
         refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
         for begin, end, pixels in refinements:
-            sums = sum_samples(tables, pixels, begin, end - begin, seed, _direct_light)
-            accumulator.add_direct(sums, end - begin, pixels)
+            accumulator.add_direct(light.sum_direct(pixels, begin, end - begin), end - begin, pixels)
         if not refinements:
             break
     return accumulator.light()
@@ -109,71 +107,44 @@ def _refinements(taken: Counts, required: Counts) -> Iterator[tuple[int, int, ND
             yield begin, end, pixels[required[pixels] == end]
 
 
-def sum_samples(
-    tables: FrameTables,
-    pixels: NDArray[np.int64] | None,
-    first: int,
-    count: int,
-    seed: int,
-    integrand: Callable[[FrameTables, Samples], list[Any]],
-) -> list[Images]:
-    """Sum an integrand's k values over samples `first` to `first + count - 1` of n pixels: k times `(n,)`.
+@dataclass(frozen=True, eq=False)
+class ChannelLight:
+    """Light of samples in one or three channels.
 
-    `pixels` are row-major indices, or None for all; `integrand` computes the values of a wavefront.
+    Attributes:
+        tables: of the frame.
+        lengths: `bounces` and `most_bounces` of `Sampling`.
+        seed: of the samples.
     """
-    total = tables.rays.width * tables.rays.height if pixels is None else len(pixels)
-    block = max(_LANES // count, 1)
-    if total <= block:
-        return _sum_pass(tables, pixels, (0, total), first, count, seed, integrand)
-    # Copied pass by pass, so that the device holds the sums of one pass and not those of the whole image.
-    sums: list[Images] = []
-    for start in range(0, total, block):
-        end = min(start + block, total)
-        parts = _sum_pass(tables, pixels, (start, end), first, count, seed, integrand)
-        sums = sums or [np.empty(total, np.float32) for _ in parts]
-        for whole, part in zip(sums, parts, strict=True):
-            whole[start:end] = part
-    return sums
+
+    tables: FrameTables
+    lengths: tuple[int, int]
+    seed: int
+
+    def accumulator(self) -> SampleAccumulator:
+        """An accumulator of this light, without samples."""
+        return SampleAccumulator(self.tables.rays.height, self.tables.rays.width, self.tables.white)
+
+    def sum_direct(self, pixels: NDArray[np.int64] | None, first: int, count: int) -> SampleSums:
+        """Sums of direct light over samples from the first on, in some pixels or all."""
+        return sum_samples(self.tables, pixels, first, count, self.seed, _direct_light)
+
+    def sum_all(self, count: int) -> SampleSums:
+        """Sums of all light over the first samples of all pixels."""
+        all_light = functools.partial(_all_light, lengths=self.lengths)
+        return sum_samples(self.tables, None, 0, count, self.seed, all_light)
 
 
-def _sum_pass(
-    tables: FrameTables,
-    pixels: NDArray[np.int64] | None,
-    limits: tuple[int, int],
-    first: int,
-    count: int,
-    seed: int,
-    integrand: Callable[[FrameTables, Samples], list[Any]],
-) -> list[Images]:
-    """The sums of `sum_samples` for its pixels from one number to another, in the device's memory."""
-    mi, dr = mitsuba_modules()
-    start, end = limits
-    salt, begin, per_pixel = (device_uint(n) for n in (seed & 0xFFFFFFFF, first, count))
-    lane = dr.arange(mi.UInt32, (end - start) * count)
-    number = lane // per_pixel
-    index = begin + lane - number * per_pixel
-    if pixels is None:
-        pixel = number + device_uint(start)
-    else:
-        pixel = dr.gather(mi.UInt32, device_array(pixels[start:end], np.uint32), number)
-    values = integrand(tables, Samples(tables, pixel, index, salt))
-    # Evaluate all results in one kernel: reduced separately, each would run the kernel again.
-    dr.eval(values)
-    sums = [dr.block_reduce(dr.ReduceOp.Add, value, count) for value in values]
-    dr.eval(sums)
-    return [np.asarray(values_sum) for values_sum in sums]
-
-
-def _direct_light(tables: FrameTables, samples: Samples) -> list[Any]:
+def _direct_light(tables: FrameTables, samples: Samples) -> list[list[Any]]:
     """Direct light: 3 c + 5 values."""
-    return _direct(tables, samples, *tables.scene.intersect(samples.ray, coherent=True))
+    return [_direct(tables, samples, *tables.scene.intersect(samples.ray, coherent=True))]
 
 
-def _all_light(tables: FrameTables, samples: Samples, bounces: int, most: int = 0) -> list[Any]:
+def _all_light(tables: FrameTables, samples: Samples, lengths: tuple[int, int]) -> list[list[Any]]:
     """Direct and indirect light along the same camera rays: 4 c + 6 values."""
     first_hit = tables.scene.intersect(samples.ray, coherent=True)
     direct = _direct(tables, samples, *first_hit)
-    return direct + _indirect(tables, samples, (bounces, most), *first_hit)
+    return [direct + _indirect(tables, samples, lengths, *first_hit)]
 
 
 def total_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
@@ -249,7 +220,7 @@ def _scatter(
     point: Any,
     active: Any,
     throughput: Any,
-    roulette: tuple[float, float] = _ROULETTE,
+    roulette: tuple[float, float] = ROULETTE,
 ) -> tuple[Any, Any, Any]:
     """Scatter paths at surface points: their rays, which of them go on, and their throughput."""
     mi, dr = mitsuba_modules()
@@ -305,7 +276,7 @@ def _continued_light(
         active &= bounce < most
         light += throughput * (sky + (lamps & active))
         bounce += 1
-        ray, active, throughput = _scatter(tables, samples, si, point, active, throughput, _LONG_ROULETTE)
+        ray, active, throughput = _scatter(tables, samples, si, point, active, throughput, LONG_ROULETTE)
         return ray, active, throughput, light, bounce, sequence.dimension
 
     ray.wavelengths = wavelengths.nm

@@ -82,7 +82,7 @@ class TuningTarget:
         self._quality, self._seed = quality, seed
         self.frame_renderer = FrameRenderer(recipe)
         self.camera = self.frame_renderer.resolved.camera
-        if self.camera.sensor.channels != 3:
+        if self.camera.sensor.pattern in ("mono", "bands"):
             problem, sensor = "must be a colour sensor", recipe.camera.sensor
             raise InputError(recipe.name, problem, key="camera.sensor", value=sensor)
         self.cultivar = densify_cultivar(self.frame_renderer.cultivar)
