@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 from pepperscene.cli import app
 from pepperscene.dataset import open_dataset
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
-from pepperscene.frame import OUTPUTS
 from pepperscene.learning.tasks.predictions import PredictionFolder
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, has_bands, partial_least_squares
 from pepperscene.learning.tasks.trait_samples import OrganSamples, join_samples, organ_samples
@@ -160,9 +159,6 @@ def test_a_split_without_organs_is_rejected():
         score_regressions(samples_of(random_bands(0), np.ones(60)), none, BANDS)
 
 
-needs_bands = pytest.mark.skipif("reflectance" not in OUTPUTS, reason="there are no sensors with bands")
-
-
 def paint_fruit(seed, size):
     """Three fruit whose reflectance is linear in their ripeness."""
     rng = np.random.default_rng(seed)
@@ -180,7 +176,6 @@ def paint_fruit(seed, size):
     }
 
 
-@needs_bands
 def test_the_command_learns_from_the_training_plants(tmp_path):
     outputs = ("reflectance", "instance", "class", "ripeness")
     changes = {"plan.select": [0, 1, 2, 3]}
