@@ -261,23 +261,16 @@ def _rows_response(
     variance = (charge + np.float32(sensor.read_noise_e**2 + quantisation)) * (
         full_scale**2 / np.array(sensor.photosites, np.float32)
     )
-    if matrix is None:
-        slope = np.float32(127.5) * np.sqrt(
-            full_scale / (charge + np.float32(sensor.read_noise_e**2 + quantisation))
-        )
-        codes = slope * (_normalised(signal, white) * white.astype(np.float32) * electrons)
-        deviation = np.square(slope / full_scale) * variance
-        by_noise, by_light = (np.sqrt(np.mean(part, axis=-1)) for part in (deviation, np.square(codes)))
-        return by_noise, by_light
-    linear = (charge * full_scale) @ matrix + _lift(camera)
+    # The bands of a sensor with bands are images of their own, as of a monochrome sensor.
+    linear = charge * full_scale if matrix is None else (charge * full_scale) @ matrix + _lift(camera)
     slope = _tone_slope(linear, camera.developing.tone)
     # Noise above the signal itself is clipped at black, where the tone curve would be steepest.
-    deviation = np.sqrt(variance @ np.square(matrix))
+    deviation = np.sqrt(variance if matrix is None else variance @ np.square(matrix))
     noise = deviation * _tone_slope(np.maximum(linear, deviation), camera.developing.tone)
     noise = np.sqrt(np.mean(np.square(noise), axis=-1))
     # The error has the pixel's own colour, normalised in units of white.
-    unit = white.astype(np.float32)
-    codes = slope * ((_normalised(signal, white) * unit * electrons * full_scale) @ matrix)
+    colour = _normalised(signal, white) * white.astype(np.float32) * electrons * full_scale
+    codes = slope * (colour if matrix is None else colour @ matrix)
     return noise, np.sqrt(np.mean(np.square(codes), axis=-1))
 
 

@@ -156,7 +156,7 @@ def band_tables(
     emission = Emission.of(response, sky, has_flash=has_flash)
     reference = response.flash if response.flash.any() else np.ones(response.grid_nm.size)
     white = np.einsum("n,nb->b", reference, weights[:, :count])
-    white = np.maximum(white, (_LEAST_WHITE * white.max()) or 1.0)
+    white = np.full(count, white.mean() or 1.0)
     broad = broad_response(response).electrons_per_joule > 0.0
     columns, factors = _slots(weights.T, emission.mean())
     sun_optics = None
