@@ -14,7 +14,7 @@ from pepperscene.truth.fruit_visibility import SAMPLES
 
 if TYPE_CHECKING:
     from pepperscene.dataset.viewpoints.recipe_visibility import SceneVisibility
-    from pepperscene.dataset.viewpoints.workspace import Workspace
+    from pepperscene.dataset.viewpoints.workspace import BoxWorkspace, Workspace
 
 
 @app.command()
@@ -99,14 +99,21 @@ def visibility(
     typer.echo(f"{rows:,} rows: {out}")
 
 
+def parse_box(text: str) -> BoxWorkspace:
+    """The workspace of a text "X0,X1,Y0,Y1,Z0,Z1" in millimetres."""
+    from pepperscene.dataset.viewpoints.workspace import BoxWorkspace
+
+    x0, x1, y0, y1, z0, z1 = _metres(text, "box", 6)
+    return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
+
+
 def _workspace(box: str | None, sphere: str | None) -> Workspace | None:
-    from pepperscene.dataset.viewpoints.workspace import BoxWorkspace, SphereWorkspace
+    from pepperscene.dataset.viewpoints.workspace import SphereWorkspace
 
     if box is not None and sphere is not None:
         raise ArgumentError("sphere", "cannot be combined with box")
     if box is not None:
-        x0, x1, y0, y1, z0, z1 = _metres(box, "box", 6)
-        return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
+        return parse_box(box)
     if sphere is not None:
         x, y, z, radius = _metres(sphere, "sphere", 4)
         return SphereWorkspace((x, y, z), radius)

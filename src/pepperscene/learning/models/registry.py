@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from pepperscene.errors import ArgumentError
 from pepperscene.learning.model_names import MODELS
+from pepperscene.learning.user_callable import import_callable
 
 if TYPE_CHECKING:
     from torch import nn
@@ -57,19 +56,7 @@ def _find_factory(name: str) -> Callable[..., Any]:
     module, _, attribute = path.partition(":")
     if not module or not attribute:
         raise ArgumentError("model", f"must be {', '.join(MODELS)} or module:factory, not {name!r}")
-    # A module in the current folder, as `python` itself would find it.
-    if "" not in sys.path:
-        sys.path.append("")
-    try:
-        factory = getattr(importlib.import_module(module), attribute)
-    except Exception as error:
-        # The module is the user's and may raise anything.
-        if isinstance(error, AttributeError) and module in sys.modules:
-            raise ArgumentError("model", f"{module} has no {attribute}") from None
-        raise ArgumentError("model", f"{module} cannot be imported ({_one_line(error)})") from None
-    if not callable(factory):
-        raise ArgumentError("model", f"{path} is not callable")
-    return factory
+    return import_callable(path, "model")
 
 
 def _parse_options(model: str, options: list[str], name: str) -> dict[str, Any]:

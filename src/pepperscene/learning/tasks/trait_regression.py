@@ -1,0 +1,167 @@
+"""Regression of a trait on the reflectance in bands: spectral indices, ridge, partial least squares.
+
+References: NDVI (Rouse et al. 1974, NASA SP-351), NDRE (Barnes et al. 2000, 5th Int. Conf. Precision Agric.),
+PRI (Gamon, Penuelas & Field 1992, Remote Sens. Environ. 41:35), ridge regression (Hoerl & Kennard 1970,
+Technometrics 12:55), partial least squares with one response (Wold, Sjostrom & Eriksson 2001, Chemom. Intell.
+Lab. Syst. 58:109).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+Predictor = Callable[[FloatArray], FloatArray]
+"""From reflectances `(n, c)` to a trait `(n,)`."""
+
+Regression = Callable[[FloatArray, FloatArray, FloatArray], Predictor]
+"""From reflectances `(n, c)`, traits `(n,)` and the wavelength of each band `(c,)`, nm, to a predictor."""
+
+_NEAR_INFRARED: Final = (780.0, 900.0)
+"""Range of the plateau of leaves, in which a band at any wavelength will do."""
+
+INDICES: Final[Mapping[str, tuple[tuple[float, float], tuple[float, float]]]] = {
+    "ndvi": (_NEAR_INFRARED, (640.0, 690.0)),
+    "ndre": (_NEAR_INFRARED, (700.0, 740.0)),
+    "pri": ((526.0, 536.0), (565.0, 575.0)),
+}
+"""Normalised differences of two bands, the second subtracted from the first: the range of each one's centre,
+nm. Of several bands in a range, the one nearest to its middle is used."""
+
+_RIDGE: Final = 1e-3
+"""Penalty of ridge regression, in variances of standardised bands. Chosen: small, but enough that similar
+bands do not get large slopes of opposite signs."""
+
+_COMPONENTS: Final = 6  # chosen: PROSPECT's leaf has as many parameters between 400 and 1000 nm
+
+
+def mean_value(_: FloatArray, trait: FloatArray, __: FloatArray) -> Predictor:
+    """The mean of the training, whatever the reflectance."""
+    mean = float(trait.mean())
+    return lambda reflectance: np.full(len(reflectance), mean)
+
+
+def index_regression(
+    name: str, reflectance: FloatArray, trait: FloatArray, bands_nm: FloatArray
+) -> Predictor:
+    """A straight line on a spectral index of `INDICES`.
+
+    Raises:
+        InputError: there is no band in one of its ranges.
+    """
+    first, second = (_band(name, limits, bands_nm) for limits in INDICES[name])
+    return _line(reflectance, trait, first, second)
+
+
+def best_index(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Predictor:
+    """A straight line on the normalised difference of that pair of bands which fits the training best."""
+    pairs = list(combinations(range(reflectance.shape[1]), 2))
+    if not pairs:
+        raise InputError("best_index", "needs two bands or more")
+    fits = [_correlation(_difference(reflectance, *pair), trait) for pair in pairs]
+    return _line(reflectance, trait, *pairs[int(np.argmax(fits))])
+
+
+def ridge(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Predictor:
+    """Linear regression on all standardised bands, with a small penalty on the squares of the slopes."""
+    centre, spread = _standard(reflectance)
+    bands, mean = (reflectance - centre) / spread, float(trait.mean())
+    penalty = _RIDGE * len(trait) * np.eye(bands.shape[1])
+    slopes = np.linalg.solve(bands.T @ bands + penalty, bands.T @ (trait - mean))
+    return lambda samples: mean + (samples - centre) / spread @ slopes
+
+
+def partial_least_squares(
+    reflectance: FloatArray, trait: FloatArray, _: FloatArray, components: int = _COMPONENTS
+) -> Predictor:
+    """Partial least squares on standardised bands: each component is the direction of largest covariance."""
+    centre, spread = _standard(reflectance)
+    mean = float(trait.mean())
+    bands, rest = (reflectance - centre) / spread, trait - mean
+    weights, loadings, slopes = [], [], []
+    for _component in range(min(components, *reflectance.shape)):
+        weight = bands.T @ rest
+        norm = float(np.linalg.norm(weight))
+        if norm <= 1e-12 * max(1.0, float(np.linalg.norm(trait))):
+            break
+        weight /= norm
+        score = bands @ weight
+        size = float(score @ score)
+        loading, slope = bands.T @ score / size, float(rest @ score) / size
+        bands, rest = bands - np.outer(score, loading), rest - slope * score
+        weights.append(weight)
+        loadings.append(loading)
+        slopes.append(slope)
+    if not weights:
+        return lambda samples: np.full(len(samples), mean)
+    W, P = np.array(weights).T, np.array(loadings).T
+    coefficients = W @ np.linalg.solve(P.T @ W, np.array(slopes))
+    return lambda samples: mean + (samples - centre) / spread @ coefficients
+
+
+REGRESSIONS: Final[Mapping[str, Regression]] = {
+    "mean": mean_value,
+    **{name: partial(index_regression, name) for name in INDICES},
+    "best_index": best_index,
+    "ridge": ridge,
+    "pls": partial_least_squares,
+}
+"""Baselines by name."""
+
+
+def has_bands(name: str, bands_nm: FloatArray) -> bool:
+    """Whether a baseline can be computed from these bands."""
+    ranges = INDICES.get(name, ())
+    found = all(_bands_between(limits, bands_nm).size for limits in ranges)
+    return found and (name != "best_index" or len(bands_nm) > 1)
+
+
+def _band(name: str, limits_nm: tuple[float, float], bands_nm: FloatArray) -> int:
+    """Number of the band in a range that is nearest to its middle."""
+    inside = _bands_between(limits_nm, bands_nm)
+    if not inside.size:
+        problem = f"needs a band from {limits_nm[0]:g} to {limits_nm[1]:g} nm"
+        raise InputError(name, problem)
+    return int(inside[np.abs(bands_nm[inside] - 0.5 * sum(limits_nm)).argmin()])
+
+
+def _bands_between(limits_nm: tuple[float, float], bands_nm: FloatArray) -> NDArray[np.intp]:
+    return np.flatnonzero((limits_nm[0] <= bands_nm) & (bands_nm <= limits_nm[1]))
+
+
+def _difference(reflectance: FloatArray, first: int, second: int) -> FloatArray:
+    """Normalised differences `(n,)` of two bands; 0 where both are 0."""
+    a, b = reflectance[:, first], reflectance[:, second]
+    total = a + b
+    return np.asarray(np.where(total > 0, (a - b) / np.where(total > 0, total, 1.0), 0.0))
+
+
+def _line(reflectance: FloatArray, trait: FloatArray, first: int, second: int) -> Predictor:
+    index = _difference(reflectance, first, second)
+    deviation = index - index.mean()
+    size = float(deviation @ deviation)
+    slope = float(deviation @ (trait - trait.mean())) / size if size > 0 else 0.0
+    offset = float(trait.mean() - slope * index.mean())
+    return lambda samples: offset + slope * _difference(samples, first, second)
+
+
+def _correlation(index: FloatArray, trait: FloatArray) -> float:
+    """Squared correlation; 0 if one of both does not vary."""
+    a, b = index - index.mean(), trait - trait.mean()
+    size = float((a @ a) * (b @ b))
+    return float(a @ b) ** 2 / size if size > 0 else 0.0
+
+
+def _standard(reflectance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and spread `(c,)` of each band; a spread of 1 for bands that do not vary."""
+    spread = reflectance.std(axis=0)
+    return reflectance.mean(axis=0), np.where(spread > 0, spread, 1.0)
