@@ -11,7 +11,7 @@ from processes import run_python
 from pepperscene.camera import Motion
 from pepperscene.dataset import resolve_recipe
 from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles, scene_triangles
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.geometry import compilation
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory, written_memory
@@ -89,6 +89,13 @@ def test_estimates_of_large_images_agree_with_measured_peaks(
     view = resized(camera, *size, binning=1)
     ratio = estimate(view, *outputs, quality=quality) / (measured_mb * 1e6)
     assert 1.0 <= ratio <= 1.25
+
+
+def test_estimate_of_large_maps_of_traits_is_above_their_measured_peak(camera, monkeypatch):
+    monkeypatch.setattr(compilation, "AVAILABLE", True)
+    view = resized(camera, 3840, 2160, binning=1)
+    # Above by more than others: only pixels with tissue have points.
+    assert 1.0 <= estimate(view, *TRAIT_OUTPUTS) / 1298e6 <= 1.35
 
 
 def test_24_megapixels_take_no_more_than_two_and_a_half_gigabytes(camera, monkeypatch):

@@ -168,10 +168,7 @@ def _whole_memory(camera: Camera, outputs: Collection[str], quality: Quality, *,
         total += _device_memory(camera, quality, pixels)
         if quality.denoise:
             total += _denoiser_memory(camera.width, camera.height, _per_denoised(camera))
-        # Half of the arrays have one entry for each channel of the sensor.
-        share = (3 + camera.sensor.channels) / 6
-        if camera.sensor.pattern == "bands":
-            share *= _BAND_SHARE
+        share = _channel_share(camera)
         sites = _PER_SITE * np.prod(camera.sensor.site_shape) / pixels
         held = _TRACED_HELD * share
         is_divided = len(exposure_parts(camera, has_daylight=True)) > 1
@@ -201,7 +198,7 @@ def _strips_memory(camera: Camera, outputs: Collection[str], quality: Quality, *
     """Bytes of the images of a frame whose stages compute one strip of rows after the other."""
     pixels, channels = camera.width * camera.height, camera.sensor.channels
     rows = row_strips(camera.width, camera.height)[0].stop
-    strip, share = rows * camera.width, (3 + channels) / 6
+    strip, share = rows * camera.width, _channel_share(camera)
     labels = [name for name in outputs if not OUTPUTS[name].traced]
     photographs = sum(_image_size(name, camera) for name in outputs if OUTPUTS[name].traced)
     stages = [0.0]
@@ -289,6 +286,13 @@ def reserved_address_space() -> int:
     """Bytes of address space that a rendering process reserves beyond its memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return int(_ADDRESS_SPACE + _ADDRESS_SPACE_PER_THREAD * (wanted_threads() or cores))
+
+
+def _channel_share(camera: Camera) -> float:
+    """Memory of light that is traced over that of three channels."""
+    # Half of the arrays have one entry for each channel of the sensor.
+    share = (3 + camera.sensor.channels) / 6
+    return _BAND_SHARE * share if camera.sensor.pattern == "bands" else share
 
 
 def _per_denoised(camera: Camera) -> float:
