@@ -480,6 +480,12 @@ def chemistry() -> Image.Image:
     return image
 
 
+def tasks() -> Image.Image:
+    """Measured and completed depth, from the picture of the page."""
+    page = Image.open(IMAGES / "task_depth.jpg").convert("RGB")
+    return fill(np.asarray(page))
+
+
 def cluster() -> Image.Image:
     """A build, its scheduler and workers, and the folder that all of them share."""
     figure, axes = canvas()
@@ -1149,8 +1155,8 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, bands_notebook, build, camera,
-    visibility, vary, motion, depth, bands, chemistry, read, learn, export, own_crop, cultivar, outputs,
-    harvest, check, plants, rendering, realism,
+    visibility, tasks, vary, motion, depth, bands, chemistry, read, learn, export, own_crop, cultivar,
+    outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

@@ -1,10 +1,9 @@
 """Adaptive sampling: stop where the error of the light is hidden by the sensor noise in the image.
 
 Error and noise are compared as they are visible: in 8-bit codes of the developed image, root mean square
-over the image. Sensors with bands have no such image: their codes are 255 times the square root of the light
-as a part of full scale, in which the noise of photons is the same everywhere (Anscombe 1948), and the mean
-square is also taken over the bands. Stratified samples of edges and penumbras do better than independent
-ones: an edge through a pixel cuts about sqrt(n) of n cells, so the variance of the mean is
+over the image. Sensors with bands have no such image: each of their bands counts as one of a monochrome
+sensor. Stratified samples of edges and penumbras do better than independent ones: an edge through a pixel
+cuts about sqrt(n) of n cells, so the variance of the mean is
 
     V(n) = VARIANCE_GAIN s^2 n^(-3/2)
 

@@ -31,7 +31,6 @@ BROAD: Final = 3
 """Broad channels: as many as a colour sensor has, whose code and guides of the denoiser serve them."""
 _SLOTS_PER_WAVELENGTH: Final = 4
 """Chosen: numbers of places are rounded, which changes the shares of wavelengths by some per cent."""
-_LEAST_WHITE: Final = 1e-12  # as of `lights`
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +98,7 @@ class BandTables:
         slots: number of slots of a band, in the kernel.
         columns: `(padded * slots,)` column of the spectra of each slot.
         emission: the lights by band and slot, over the density of the slot.
-        white: `(c,)` see `SampleVariance`.
+        white: `(c,)` see `SampleVariance`; the mean of the bands in each of them.
         per_white: `(padded,)` its inverse, 0 for padding.
     """
 
@@ -155,8 +154,8 @@ def band_tables(
     weights = np.pad(weights, ((0, 0), (0, -count % BATCH)))
     emission = Emission.of(response, sky, has_flash=has_flash)
     reference = response.flash if response.flash.any() else np.ones(response.grid_nm.size)
-    white = np.einsum("n,nb->b", reference, weights[:, :count])
-    white = np.full(count, white.mean() or 1.0)
+    # The same unit for all bands: in bands without a flash, daylight would be many times their own.
+    white = np.full(count, np.einsum("n,nb->b", reference, weights[:, :count]).mean() or 1.0)
     broad = broad_response(response).electrons_per_joule > 0.0
     columns, factors = _slots(weights.T, emission.mean())
     sun_optics = None
