@@ -76,15 +76,17 @@ def test_every_command_ends_at_a_signal_while_it_is_imported(arguments, tmp_path
 
 
 def test_a_terminal_that_is_closed_ends_a_command_and_nohup_prevents_it():
-    command = Command("cultivars")
-    code, errors = interrupt(command, signal.SIGHUP)
-    check_interrupted(command, code, errors, signal.SIGHUP)
-    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    # The tests themselves may run under nohup.
+    previous = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     try:
         command = Command("cultivars")
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        protected = Command("cultivars")
     finally:
         signal.signal(signal.SIGHUP, previous)
-    assert interrupt(command, signal.SIGHUP) == (0, b"")
+    code, errors = interrupt(command, signal.SIGHUP)
+    check_interrupted(command, code, errors, signal.SIGHUP)
+    assert interrupt(protected, signal.SIGHUP) == (0, b"")
 
 
 def test_a_signal_at_the_end_changes_no_result():
