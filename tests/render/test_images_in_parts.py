@@ -27,7 +27,7 @@ def test_images_do_not_depend_on_the_size_of_their_parts(monkeypatch):
     whole = frame()
     parts = {
         "aov.labels": "_UV_PIXELS",
-        "transport.adaptive": "_ROWS_PIXELS",
+        "transport.code_response": "_ROWS_PIXELS",
         "transport.wavefront": "_LANES",
     }
     for module, constant in parts.items():

@@ -212,7 +212,7 @@ def test_prospect_with_the_values_of_a_map_is_the_albedo_of_the_leaf(ageing):
     sheet = replace(sheet, appearances=(Appearance(ageing=ageing),))
     image = Renderer(assemble_scene(sheet, {"leaf": surface})).render(VIEW, [*TRAITS, "albedo"])
     assert (image["leaf_age"] == np.float32(ageing)).all()
-    # Chlorophyll rises with the state, which then tells what the maps do not show.
+    # Chlorophyll rises with the state, which then shows what the maps do not.
     states = np.linspace(-1.0, 1.0, 2001)
     chlorophyll = path.at(states)["chlorophyll_ug_cm2"]
     assert (np.diff(chlorophyll) > 0).all()

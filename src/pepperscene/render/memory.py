@@ -19,6 +19,7 @@ from pepperscene.frame import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT
 from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
+from pepperscene.render.transport.strips import SURROUNDINGS, TILE_PIXELS
 from pepperscene.render.variant import wanted_threads
 
 _MARGIN: Final = 1.07
@@ -92,8 +93,6 @@ _UV_PIXELS, _PER_UV_PIXEL, _PER_TRAIT_PIXEL = 1 << 20, 350.0, 420.0
 of each, measured 330 to 380; and bytes of each for the contents of tissue."""
 
 _PER_CORNER: Final = 8.0  # bytes per pixel of a large image: the slopes of its corners on the device
-_SURROUNDINGS, _TILE_PIXELS = 48, 1 << 19
-"""Pixels around a tile of the denoiser, and in it, as in `pepperscene.render.transport.strips`."""
 _PER_RAY: Final = 50.0
 """Bytes per pixel of a strip: its rays in double precision, and what computing them takes; chosen."""
 _PER_BAND_IN_TILE: Final = 12.0
@@ -210,11 +209,11 @@ def _strips_memory(camera: Camera, outputs: Collection[str], quality: Quality, *
         traced = _device_memory(camera, quality, strip) + _TRACED_PEAK * share * strip
         traced += (parts - 1) * _PER_PART * share * strip
         if quality.denoise:
-            known = camera.width * (2 * rows + _SURROUNDINGS)
+            known = camera.width * (2 * rows + SURROUNDINGS)
             traced += parts * 4.0 * (3 * channels + 5) * known
-            held += _per_denoised(camera) * _TILE_PIXELS
+            held += _per_denoised(camera) * TILE_PIXELS
             if camera.sensor.pattern == "bands":
-                held += _PER_BAND_IN_TILE * channels * _TILE_PIXELS
+                held += _PER_BAND_IN_TILE * channels * TILE_PIXELS
         stages.append(signal + traced)
         developed = _developing_memory(camera, strip)
         if "reflectance" in outputs:

@@ -20,9 +20,9 @@ from pepperscene.render.kernel.arrays import device_uint
 from pepperscene.render.quality import Quality
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.scattering import MIN_COSINE, SurfacePoint
+from pepperscene.render.transport.channel_light import total_light
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples
-from pepperscene.render.transport.trace import total_light
 from pepperscene.render.variant import mitsuba_modules
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-BROAD: Final = 3
+_FILTERED: Final = 3  # channels of the filter
 _MOST_FILTERED: Final = 12
 """Bands that are filtered themselves, three at a time. Chosen: four passes of a second each. The factors
 below are those of all surfaces of a neighbourhood: what distinguishes a leaf from the next in two bands of
@@ -28,7 +28,8 @@ _TILE: Final = 32  # pixels; chosen: three are the neighbourhood whose mean is r
 _RIDGE: Final = 0.02
 """Of the mean square of the broad channels. Chosen: where these are proportional, the factors of the whole
 image decide between them."""
-_MIN_GAIN, _MAX_GAIN = 0.5, 2.0  # as of `denoise`
+MIN_GAIN, MAX_GAIN = 0.5, 2.0
+"""Chosen: a neighbourhood that differs more holds a single bright path, or nothing."""
 
 
 def denoise_bands(
@@ -66,13 +67,13 @@ def broad_images(traced: Image, levels: Array) -> Iterator[Image]:
     c = traced.shape[-1]
     if c <= _MOST_FILTERED:
         # Padded with the first bands.
-        bands = np.arange(-(-c // BROAD) * BROAD) % c
-        for part in bands.reshape(-1, BROAD):
+        bands = np.arange(-(-c // _FILTERED) * _FILTERED) % c
+        for part in bands.reshape(-1, _FILTERED):
             yield np.ascontiguousarray(traced[..., part])
         return
     # Bands of the same weight, however many electrons they have.
     scale = np.divide(1.0, levels, out=np.zeros(c), where=levels > 0.0).astype(np.float32)
-    groups = np.array_split(np.arange(c), BROAD)
+    groups = np.array_split(np.arange(c), _FILTERED)
     yield np.stack([np.einsum("hwb,b->hw", traced[..., g], scale[g] / len(g)) for g in groups], axis=-1)
 
 
@@ -81,18 +82,18 @@ def _factors(traced: Image, broad: Image, filtered: Image) -> Array:
     normal = _neighbourhoods(_tile_products(broad, broad))
     mixed = _neighbourhoods(_tile_products(broad, traced))
     # Of the whole image, where a tile does not decide.
-    eye = np.eye(BROAD)
+    eye = np.eye(_FILTERED)
     whole, whole_mixed = normal.sum(axis=(0, 1)), mixed.sum(axis=(0, 1))
-    level = np.trace(whole) / BROAD
+    level = np.trace(whole) / _FILTERED
     prior = np.linalg.solve(whole + 1e-3 * level * eye, whole_mixed)
-    ridge = _RIDGE * np.trace(normal, axis1=2, axis2=3)[..., None, None] / BROAD + 1e-9 * level
+    ridge = _RIDGE * np.trace(normal, axis1=2, axis2=3)[..., None, None] / _FILTERED + 1e-9 * level
     factors = prior + np.linalg.solve(normal + ridge * eye, mixed - normal @ prior)
     # The traced light of the neighbourhood, in each band.
     ones = np.ones((*traced.shape[:2], 1), np.float32)
     light = _neighbourhoods(_tile_products(ones, traced))[:, :, 0]
     result = np.einsum("ijg,ijgc->ijc", _neighbourhoods(_tile_products(ones, filtered))[:, :, 0], factors)
     gain = np.divide(light, result, out=np.ones_like(light), where=result > 0.0)
-    return factors * np.clip(gain, _MIN_GAIN, _MAX_GAIN)[:, :, None]
+    return factors * np.clip(gain, MIN_GAIN, MAX_GAIN)[:, :, None]
 
 
 def _tile_products(first: Image, second: Image) -> Array:
@@ -126,7 +127,7 @@ def _combine(filtered: Image, factors: Image) -> Image:
             near = factors[first : first + 2, second : second + 2]
             weights = down[:, None, :, None] * along[None, :, None, :]
             weights = weights[..., None] * part[:, :, None, None, :]
-            flat = weights.reshape(-1, near.shape[0] * near.shape[1] * BROAD)
+            flat = weights.reshape(-1, near.shape[0] * near.shape[1] * _FILTERED)
             light = np.einsum("pk,kc->pc", flat, near.reshape(flat.shape[1], -1))
             result[top:bottom, left:right] = light.reshape(bottom - top, right - left, -1)
     return np.maximum(result, np.float32(0.0))

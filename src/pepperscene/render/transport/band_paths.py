@@ -16,10 +16,9 @@ from pepperscene.render.transport.band_records import Vertex, arrays, finite, fo
 from pepperscene.render.transport.bands import BROAD, BandTables
 from pepperscene.render.transport.lights import FrameTables, LightSpectra
 from pepperscene.render.transport.path_lengths import LONG_ROULETTE, ROULETTE
-from pepperscene.render.transport.samples import Samples
+from pepperscene.render.transport.samples import TINY, Samples
 from pepperscene.render.variant import mitsuba_modules
 
-_TINY: Final = 1e-30  # chosen: as of `samples`
 UNIT: Final = LightSpectra(flash=1.0, sun=1.0, sky=())
 """Lights by lobe, whose spectra come with the bands."""
 
@@ -151,13 +150,13 @@ class PathTracer:
         by_flash = dr.sum(by_lobe(flash, *body) * colours.flash)
         by_sun = dr.sum(by_lobe(sun, *body) * colours.sun)
         both = by_flash + by_sun
-        flash_fraction = dr.select(both > 0.0, by_flash / dr.maximum(both, _TINY), 0.0)
+        flash_fraction = dr.select(both > 0.0, by_flash / dr.maximum(both, TINY), 0.0)
         to_flash = samples.next_1d() < flash_fraction
         probability = dr.select(to_flash, flash_fraction, 1.0 - flash_fraction)
         ray = dr.select(to_flash, si.spawn_ray_to(target), si.spawn_ray(direction))
         lit = active & (both > 0.0)
         lit &= ~self.tables.scene.scene.ray_test(ray, lit)
-        light = dr.select(to_flash, flash, sun) / dr.maximum(probability, _TINY)
+        light = dr.select(to_flash, flash, sun) / dr.maximum(probability, TINY)
         return light & (lit & to_flash), light & (lit & ~to_flash)
 
     def finish(self, samples: Samples, paths: Paths) -> list[Any]:

@@ -54,7 +54,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.render.transport.accumulate import GuidedLight, TracedLight, indirect_share
-from pepperscene.render.transport.band_denoise import band_levels, broad_images, denoise_bands
+from pepperscene.render.transport.band_denoise import (
+    MAX_GAIN,
+    MIN_GAIN,
+    band_levels,
+    broad_images,
+    denoise_bands,
+)
 
 Image = NDArray[np.float32]
 
@@ -72,8 +78,6 @@ _CLEAN_FROM: Final = 0.2
 _AREA: Final = 16  # pixels; as in the filter itself
 _DARK: Final = 1e-8  # areas without light have no logarithm; as in the filter itself
 _MIDDLE_GREY: Final = 0.18  # as in the filter itself
-_MIN_GAIN, _MAX_GAIN = 0.5, 2.0
-"""Chosen: a neighbourhood that differs more holds a single bright path, or nothing."""
 
 
 @cache
@@ -187,7 +191,7 @@ def _restore_local_mean(filtered: Image, traced: Image) -> Image:
     size = (_NEIGHBOURHOOD, _NEIGHBOURHOOD, 1)
     mean = uniform_filter(filtered, size)
     gain = np.divide(uniform_filter(traced, size), mean, out=np.ones_like(mean), where=mean > 0.0)
-    return filtered * np.clip(gain, _MIN_GAIN, _MAX_GAIN)
+    return filtered * np.clip(gain, MIN_GAIN, MAX_GAIN)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.variant import mitsuba_modules
 
 _FLASH_POINTS: Final = 4  # chosen among 1, 2 and 4: the smallest error for the same time
-_TINY: Final = 1e-30  # chosen: below any relevant light or probability, and safe in single precision
+TINY: Final = 1e-30  # chosen: below any relevant light or probability, and safe in single precision
 
 
 class Samples:
@@ -86,10 +86,10 @@ class Samples:
         flash, target = self.unshadowed_flash(*at_hit, self.next_2d())
         sun, direction = self.unshadowed_sun(*at_hit)
         both = dr.sum(flash) + dr.sum(sun)
-        flash_fraction = dr.select(both > 0.0, dr.sum(flash) / dr.maximum(both, _TINY), 0.0)
+        flash_fraction = dr.select(both > 0.0, dr.sum(flash) / dr.maximum(both, TINY), 0.0)
         to_flash = self.next_1d() < flash_fraction
         probability = dr.select(to_flash, flash_fraction, 1.0 - flash_fraction)
-        light = dr.select(to_flash, flash, sun) / dr.maximum(probability, _TINY)
+        light = dr.select(to_flash, flash, sun) / dr.maximum(probability, TINY)
         ray = dr.select(to_flash, si.spawn_ray_to(target), si.spawn_ray(direction))
         lit = active & (both > 0.0)
         return light & (lit & ~self.tables.scene.scene.ray_test(ray, lit))
