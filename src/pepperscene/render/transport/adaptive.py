@@ -31,11 +31,16 @@ VARIANCE_GAIN: Final = 0.8
 """Of the equation above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
 samples are distributed by need."""
 _INDIRECT_SHARES: Final = (0.2, 0.4)
-_DENOISED_ERRORS: Final = (0.15, 0.19)
-"""Fraction of the standard error of indirect light after denoising, by the share of indirect light in all
-light; chosen: constant outside of these shares, linear between. Measured for 2 to 16 samples: .13 to .17 in
-two frames of `barth2018` by flash (share .04); .17 to .20 in two of `greenhouse` (.6) and one of `randomised`
-(.4) by daylight, where fine shadows in the light of the sky are lost."""
+_DENOISED_BY_FLASH: Final = 0.15
+"""Fraction of the standard error of indirect light after denoising where little of all light is indirect:
+chosen for the smaller of `_INDIRECT_SHARES` and below. Measured for 2 to 16 samples: .13 to .17 in two frames
+of `barth2018` by flash (share .04)."""
+_DENOISED_BY_DAYLIGHT: Final = 0.245
+"""The same for 8 samples where the share is the greater of the two, or above; linear between them. Measured
+in `greenhouse` (share .59): .245 for 8 samples and .30 for 32, because what the denoiser loses of fine
+shadows in the light of the sky hardly depends on the number of samples."""
+_DAYLIGHT_EXPONENT: Final = 0.146
+"""Power of the number of samples that it grows with, from the same two."""
 _INDIRECT_COST: Final = 18.0
 """Time of a sample of indirect light over that of a further one of direct light; measured: 15 to 23."""
 _BALANCE_STEPS: Final = 3  # chosen: the next step would change the number of samples by some per cent
@@ -79,15 +84,16 @@ class AdaptiveSampler:
         direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
         indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
         # Direct light may have the error that indirect light leaves of the target, at least half of it.
-        remaining = float(np.mean(indirect)) * self._indirect_factor(accumulator.indirect_share())
-        remaining /= accumulator.indirect_samples
+        taken_indirect = accumulator.indirect_samples
+        factor = self._indirect_factor(accumulator.indirect_share(), taken_indirect)
+        remaining = float(np.mean(indirect)) * factor / taken_indirect
         allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
         left = max(allowed - remaining, 0.5 * allowed)
         wanted = self._distribute(direct.ravel(), left)
         if remaining > allowed:
             # The target cannot be met, and more direct samples than in balance would be wasted.
             for _ in range(_BALANCE_STEPS):
-                balanced = remaining * balanced_share(float(wanted.mean()), accumulator.indirect_samples)
+                balanced = remaining * balanced_share(float(wanted.mean()), taken_indirect)
                 wanted = self._distribute(direct.ravel(), max(left, balanced))
         taken = accumulator.samples
         limit = np.minimum(taken * _GROWTH, np.maximum(self.max_samples, taken))
@@ -102,7 +108,8 @@ class AdaptiveSampler:
         variance, codes = light.variance, self._code_response(light.total, light.variance.white)
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
-        factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
+        share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
+        factor = self._indirect_factor(share, variance.indirect_samples)
         of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         return SamplingError(
@@ -114,9 +121,9 @@ class AdaptiveSampler:
             below_half_of_noise=float((error <= 0.25 * noise).mean()),
         )
 
-    def _indirect_factor(self, share: float) -> float:
+    def _indirect_factor(self, share: float, samples: int) -> float:
         """Fraction of the variance of indirect light that remains; `share` is its part of all light."""
-        return denoised_error(share) ** 2 if self._denoised else 1.0
+        return denoised_error(share, samples) ** 2 if self._denoised else 1.0
 
     def _code_response(self, signal: Callable[[], Floats], white: NDArray[np.float64]) -> CodeResponse:
         if self._codes is None:
@@ -185,13 +192,15 @@ def balanced_share(direct_samples: float, indirect_samples: int) -> float:
     return direct_samples / (1.5 * _INDIRECT_COST * indirect_samples + 0.5 * direct_samples)
 
 
-def denoised_error(share: float) -> float:
+def denoised_error(share: float, samples: int) -> float:
     """Fraction of the standard error of indirect light after denoising.
 
     Args:
         share: indirect light as part of all light of the image.
+        samples: of indirect light in each pixel.
     """
-    return float(np.interp(share, _INDIRECT_SHARES, _DENOISED_ERRORS))
+    by_daylight = _DENOISED_BY_DAYLIGHT * (max(samples, 1) / 8.0) ** _DAYLIGHT_EXPONENT
+    return float(np.interp(share, _INDIRECT_SHARES, (_DENOISED_BY_FLASH, by_daylight)))
 
 
 def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float:
