@@ -28,10 +28,11 @@ class CoarseTriangles:
 
     def __init__(self, organs: Organs, chosen: IndexArray, resolution: Resolution = FINE) -> None:
         self._organs, self._seen = organs, 0
-        choose = coarse_triangles_by_form if organs.is_contiguous else coarse_triangles
         if resolution is ALL and organs.is_contiguous:
-            choose = _all_triangles
-        rows, corners, counts = choose(organs, chosen, resolution)
+            rows, corners, counts = _all_triangles(organs, chosen)
+        else:
+            choose = coarse_triangles_by_form if organs.is_contiguous else coarse_triangles
+            rows, corners, counts = choose(organs, chosen, resolution)
         vertex_runs, face_runs = (Runs(len(organs), chosen, count) for count in counts)
         self._rest = np.ascontiguousarray(organs.mesh.vertices.take(rows, axis=0).T)
         corners += np.repeat(vertex_runs.first[chosen], face_runs.count[chosen])
@@ -111,7 +112,7 @@ _Chosen = tuple[IndexArray, IndexArray, tuple[IndexArray, IndexArray]]
 and the numbers of vertices and triangles of each."""
 
 
-def _all_triangles(organs: Organs, chosen: IndexArray, _: Resolution = ALL) -> _Chosen:
+def _all_triangles(organs: Organs, chosen: IndexArray) -> _Chosen:
     """All triangles of organs whose vertices are contiguous."""
     rows, position = organs.vertices_of(chosen)
     face_rows, face_position = organs.faces_of(chosen)
