@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -59,6 +59,16 @@ def mitsuba_renderer(scene: Scene) -> SceneRenderer:
     from pepperscene.render import Renderer
 
     return Renderer(scene)
+
+
+SurfacePreparation = Callable[[Iterable["Surface"]], None]
+
+
+def prepare_for_mitsuba(surfaces: Iterable[Surface]) -> None:
+    """Compute what the Mitsuba renderer needs of surfaces; scenes that share them need it once."""
+    from pepperscene.render import prepare_surfaces
+
+    prepare_surfaces(surfaces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +179,13 @@ class FrameRenderer:
         """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""
         return self.assemble(spec, traced=traced).scene
 
-    def assemble(self, spec: FrameSpec, *, traced: bool = True) -> AssembledScene:
-        """The scene of a frame, as `scene`, with its statistics."""
+    def assemble(
+        self, spec: FrameSpec, *, traced: bool = True, prepare: SurfacePreparation | None = None
+    ) -> AssembledScene:
+        """The scene of a frame, as `scene`, with its statistics.
+
+        `prepare` is called with its surfaces, if they are made beside the row.
+        """
         from pepperscene.scene import assemble_scene
 
         setup = self.setups.at(spec)
@@ -182,7 +197,7 @@ class FrameRenderer:
             builder.plants(spec.set)
         optics = functools.partial(self._optics, spec, setup, others, other_process=beside)
         with ThreadPoolExecutor(1) as pool:
-            pending = pool.submit(optics) if beside else None
+            pending = pool.submit(optics, prepare) if beside else None
             built = builder.scene(spec.set, spec.rotation)
             mesh = self._cull(built.mesh, others) if self.culled else built.mesh
         surfaces, sky = None, None
@@ -235,7 +250,8 @@ class FrameRenderer:
             # Release the old scene before making the new one.
             self._held = None
             self._on_stage("growing plants")
-            assembled = self.assemble(spec, traced=traced)
+            prepare = prepare_for_mitsuba if self._renderer_factory is mitsuba_renderer else None
+            assembled = self.assemble(spec, traced=traced, prepare=prepare)
             renderer = self._renderer_factory(assembled.scene)
             self._held = _HeldScene(key, (spec.set, setup.light), assembled, renderer)
         return self._held
@@ -259,7 +275,13 @@ class FrameRenderer:
         return largest_light_reach([self.setups.at(spec) for spec in specs])
 
     def _optics(
-        self, spec: FrameSpec, setup: FrameSetup, specs: Sequence[FrameSpec], *, other_process: bool
+        self,
+        spec: FrameSpec,
+        setup: FrameSetup,
+        specs: Sequence[FrameSpec],
+        prepare: SurfacePreparation | None = None,
+        *,
+        other_process: bool,
     ) -> tuple[dict[str, Surface], Sky | None]:
         """The surfaces of a scene over the wavelengths that any camera of its frames detects, and its sky."""
         distinct = {other.optics: other for other in map(self.setups.at, specs)}.values()
@@ -269,6 +291,8 @@ class FrameRenderer:
         surfaces = self._surfaces.surfaces(
             setup.cultivar, float(first), float(last), other_process=other_process
         )
+        if prepare is not None:
+            prepare(surfaces.values())
         return surfaces, self.sky(spec)
 
 
