@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from scipy.special import j1
 
 from pepperscene.camera import Camera, Ghost, StrayLight, add_stray_light, load_lens, load_sensor
-from pepperscene.camera.glare import point_spread
+from pepperscene.camera.glare import convolve_inside, point_spread
 
 LENS, SENSOR = load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re")
 NO_GHOSTS = StrayLight(ghosts=())
@@ -30,6 +32,26 @@ def image_of(camera, *points, value=1e6):
 def whole_sum(quarter):
     """Sum over the plane of values at offsets of 0 and more."""
     return quarter[0, 0] + 2 * quarter[0, 1:].sum() + 2 * quarter[1:, 0].sum() + 4 * quarter[1:, 1:].sum()
+
+
+@pytest.mark.parametrize("size", [1, 3, 7, 31])
+@pytest.mark.parametrize("shape", [(31, 31), (72, 96), (40, 131)])
+def test_convolution_has_the_bits_of_scipy(shape, size):
+    from scipy.signal import fftconvolve
+
+    rng = np.random.default_rng(size)
+    image, weights = rng.random(shape), rng.random((size, size))
+    np.testing.assert_array_equal(convolve_inside(image, weights), fftconvolve(image, weights, mode="valid"))
+
+
+def test_stray_light_does_not_import_scipy_signal():
+    code = (
+        "import sys, numpy; from pepperscene.camera import *\n"
+        "camera = Camera(load_lens('lensagon_cmfa0420nd'), load_sensor('ueye_ui5250re'))\n"
+        "add_stray_light(numpy.ones((camera.height, camera.width, 3)), camera)\n"
+        "assert camera.lens.stray_light.ghosts and 'scipy.signal' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize("stray", [StrayLight(), NO_GHOSTS, StrayLight(ghosts=(Ghost(-3.0, 1e-3, 0.1),))])

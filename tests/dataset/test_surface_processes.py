@@ -12,6 +12,7 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset import FrameRenderer
 from pepperscene.dataset.scenes import surfaces as module
 from pepperscene.dataset.scenes.plants import MIN_SHARED_PLANTS, PROCESSES
+from pepperscene.dataset.scenes.scene_worker import SceneWorker
 from pepperscene.dataset.scenes.surfaces import SurfaceFactory, make_surfaces
 
 RANGE_NM = (500.0, 520.0)
@@ -35,7 +36,8 @@ def assert_equal(made, expected):
 
 
 def test_another_process_makes_the_same_surfaces(kaite, expected, started):
-    assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, other_process=True), expected)
+    with SceneWorker() as worker:
+        assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, worker), expected)
     (process,) = started
     assert (process.returncode, process.stdin.closed, process.stdout.closed) == (0, True, True)
 
@@ -47,7 +49,8 @@ def test_without_a_working_process_they_are_made_here(script, kaite, expected, m
         program.write_text(f"#!/bin/sh\n{script}\n")
         program.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(program))
-    assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, other_process=True), expected)
+    with SceneWorker() as worker:
+        assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, worker), expected)
 
 
 def test_surfaces_of_the_last_cultivar_are_kept(kaite, monkeypatch):
@@ -76,8 +79,8 @@ def test_surfaces_of_the_last_cultivar_are_kept(kaite, monkeypatch):
 def test_scenes_of_few_plants_or_one_process_start_none(processes, plants, recipe, monkeypatch):
     asked = []
 
-    def surfaces(_self, *_key, other_process):
-        asked.append(other_process)
+    def surfaces(_self, _cultivar, _first_nm, _last_nm, worker):
+        asked.append(worker is not None)
         return {}
 
     monkeypatch.setenv(PROCESSES, processes)
@@ -87,3 +90,23 @@ def test_scenes_of_few_plants_or_one_process_start_none(processes, plants, recip
     varied = recipe.model_copy(update={"row": row})
     FrameRenderer(varied).scene(varied.plan.frame(0))
     assert asked == [processes == "2" and plants > 1]
+
+
+def test_one_process_makes_plants_and_surfaces_of_a_scene(recipe, started, monkeypatch):
+    monkeypatch.setenv(PROCESSES, "2")
+    row = recipe.row.model_copy(update={"plants_front": MIN_SHARED_PLANTS, "plants_back": 0})
+    varied = recipe.model_copy(update={"row": row})
+    prepared = []
+    assembled = FrameRenderer(varied).assemble(
+        varied.plan.frame(0), prepare=lambda surfaces: prepared.extend(surface.name for surface in surfaces)
+    )
+    (process,) = started
+    assert (process.returncode, process.stdin.closed, process.stdout.closed) == (0, True, True)
+    assert {surface.name for surface in assembled.scene.surfaces} <= set(prepared)
+    monkeypatch.setenv(PROCESSES, "1")
+    alone = FrameRenderer(varied).assemble(varied.plan.frame(0))
+    for name in ("vertices", "normals", "faces", "face_instance", "state"):
+        expected = getattr(alone.scene.mesh, name)
+        np.testing.assert_array_equal(getattr(assembled.scene.mesh, name), expected)
+    pairs = zip(assembled.scene.surfaces, alone.scene.surfaces, strict=True)
+    assert_equal(*({surface.name: surface for surface in side} for side in zip(*pairs, strict=True)))

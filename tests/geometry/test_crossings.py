@@ -10,10 +10,15 @@ import pytest
 from pepperscene.geometry import Mesh, resolve_contacts
 from pepperscene.geometry.contacts import leaves
 from pepperscene.geometry.contacts.coarse import FINE, ROUGH, Resolution
-from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles, _choose_triangles
+from pepperscene.geometry.contacts.crossings import (
+    CLEARANCE,
+    CoarseTriangles,
+    coarse_triangles,
+    coarse_triangles_by_form,
+)
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import rotations, units_of
-from pepperscene.geometry.contacts.organs import LEAF, SHOOT, Organs
+from pepperscene.geometry.contacts.organs import LEAF, SHOOT, STALK, STEM, Organs
 from tests.geometry.contact_meshes import grown
 
 
@@ -24,7 +29,7 @@ def mesh() -> Mesh:
 
 def corners_of(organs: Organs, chosen: np.ndarray, resolution: Resolution) -> dict[int, np.ndarray]:
     """`(f, 3, 3)` coarse triangles of each organ."""
-    rows, corners, counts = _choose_triangles(organs, chosen, resolution)
+    rows, corners, counts = coarse_triangles(organs, chosen, resolution)
     vertices, faces = (
         np.split(part, np.cumsum(count)[:-1]) for part, count in zip((rows, corners.T), counts, strict=True)
     )
@@ -68,6 +73,24 @@ def count_all(one: np.ndarray, two: np.ndarray, clearance: float) -> int:
         for a in one
         for b in two[np.all((low <= a.max(axis=0)) & (high >= a.min(axis=0)), axis=1)]
     )
+
+
+@pytest.mark.parametrize("resolution", [FINE, ROUGH])
+@pytest.mark.parametrize("cultivar", ["kaite", "tomato"])
+@pytest.mark.parametrize("step", [1, 3, -1, 10**6])
+def test_coarse_triangles_of_a_form_equal_those_of_each_organ(
+    cultivar: str, resolution: Resolution, step: int
+) -> None:
+    """In any order, for few organs and for many, with organs that keep all their triangles between others."""
+    organs = Organs(grown(cultivar, 1)[1])
+    assert organs.is_contiguous
+    chosen = organs.of_class(LEAF, SHOOT, STALK, STEM)[::step]
+    expected, found = (
+        choose(organs, chosen, resolution) for choose in (coarse_triangles, coarse_triangles_by_form)
+    )
+    for one, two in zip((*expected[:2], *expected[2]), (*found[:2], *found[2]), strict=True):
+        np.testing.assert_array_equal(two, one)
+        assert two.dtype == one.dtype
 
 
 @pytest.mark.parametrize(("resolution", "clearance"), [(FINE, CLEARANCE), (ROUGH, 2.5e-3)])

@@ -44,6 +44,8 @@ HEAVY = {
     "tomlkit",
 }
 MOST_LINES = 400
+LAZY = {name for name, path in MODULES.items() if path.with_suffix(".pyi").is_file()}
+"""Packages whose names are listed in a stub and loaded on first use."""
 
 
 def _sort_key(name: str) -> tuple[int, str]:
@@ -58,8 +60,8 @@ def _tree(module: str) -> ast.Module:
 @pytest.mark.parametrize("package", PUBLIC_PACKAGES)
 def test_public_names_are_sorted_and_documented(package: str) -> None:
     module = importlib.import_module(package)
-    # The top level's names come from its stub, and lazy_loader sorts them by character.
-    key = None if package == "pepperscene" else _sort_key
+    # lazy_loader sorts the names of a stub by character.
+    key = None if package in LAZY else _sort_key
     assert list(module.__all__) == sorted(set(module.__all__), key=key)
     for name in module.__all__:
         value = getattr(module, name)
@@ -75,7 +77,31 @@ def test_no_public_function_has_the_name_of_a_module(package: str) -> None:
     assert not modules & {name for name in module.__all__ if not inspect.ismodule(getattr(module, name))}
 
 
-@pytest.mark.parametrize("package", SUB_PACKAGES)
+def _re_exports(package: str) -> Iterator[tuple[str, ast.alias]]:
+    """The module and the name of each re-export of a package."""
+    stub = MODULES[package].with_suffix(".pyi")
+    tree = ast.parse(stub.read_text(encoding="utf-8")) if package in LAZY else _tree(package)
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom):
+            source = f"{package}.{node.module}" if node.level == 1 else str(node.module)
+            yield from ((source, alias) for alias in node.names)
+
+
+@pytest.mark.parametrize("package", sorted(LAZY - {"pepperscene"}))
+def test_names_of_stubs_are_loaded_on_first_use(package: str) -> None:
+    statements = [ast.unparse(statement) for statement in _tree(package).body[1:]]
+    assert statements == [
+        "import lazy_loader",
+        "__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)",
+    ]
+    stub = ast.parse(MODULES[package].with_suffix(".pyi").read_text(encoding="utf-8"))
+    for statement in stub.body:
+        assert isinstance(statement, ast.ImportFrom)
+        assert statement.level == 1
+        assert all(alias.asname == alias.name for alias in statement.names)
+
+
+@pytest.mark.parametrize("package", sorted(set(SUB_PACKAGES) - LAZY))
 def test_init_modules_only_re_export(package: str) -> None:
     docstring, *statements = _tree(package).body
     assert isinstance(docstring, ast.Expr)
@@ -117,11 +143,9 @@ def _imported_modules(module: str, exported: dict[tuple[str, str], tuple[str, st
 def test_no_imports_are_circular() -> None:
     # Imports inside functions and under TYPE_CHECKING count as well.
     exported = {
-        (package, alias.asname or alias.name): (str(node.module), alias.name)
+        (package, alias.asname or alias.name): (source, alias.name)
         for package in SUB_PACKAGES
-        for node in _tree(package).body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
+        for source, alias in _re_exports(package)
     }
     modules = [name for name in MODULES if name not in SUB_PACKAGES and name != "pepperscene"]
     graph = {module: set(_imported_modules(module, exported)) for module in modules}
@@ -129,6 +153,17 @@ def test_no_imports_are_circular() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_worker_processes_import_only_what_they_need() -> None:
+    others = ("check", "export", "report", "readers", "preview", "execution")
+    code = (
+        "import sys; from pepperscene.dataset.scenes import plants, surfaces; "
+        f"print([name for name in {others!r} if f'pepperscene.dataset.{{name}}' in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
 
 
 def test_importing_the_package_loads_no_heavy_library() -> None:

@@ -37,6 +37,17 @@ def points_and_falloffs(camera, targets, samples):
     return np.array(points).T, np.array(falloffs)
 
 
+def test_points_that_are_not_numbers_get_no_light_of_the_flash():
+    """Rays without a hit leave such points behind, or any bits; no table may be read outside its ends.
+
+    Without AVX-512 the number of their entry is -2^31, and reading it ends the process.
+    """
+    targets = np.repeat([[np.nan] * 3, [np.inf] * 3, [0.0, np.nan, 1.0], [1e38, -1e38, 1e38]], 64, axis=0)
+    samples = np.random.default_rng(1).random((len(targets), 2))
+    _, falloffs = points_and_falloffs(MAIN, targets, samples)
+    np.testing.assert_array_equal(falloffs, 0.0)
+
+
 @pytest.mark.parametrize("rotation_deg", [(0, 0, 0), (25, 0, 0), (-20, 30, 45)])
 def test_flash_stays_at_the_main_camera_for_all_cameras_of_a_rig(rotation_deg):
     rig = RigCamera(name="side", position_mm=(60, -20, 10), rotation_deg=rotation_deg)

@@ -175,8 +175,6 @@ def _add_ghosts(spread: NDArray[np.floating], plane: NDArray[np.floating], camer
 
     Light outside the image is lost. Ghosts are computed on a coarse grid, because they have no details.
     """
-    from scipy.signal import fftconvolve
-
     cell = max(-(-plane.shape[1] // _GHOST_COLUMNS), 1)
     # The last cells can be smaller.
     rows, columns = (np.append(np.arange(0, size, cell), size) for size in plane.shape)
@@ -193,7 +191,7 @@ def _add_ghosts(spread: NDArray[np.floating], plane: NDArray[np.floating], camer
         scaled = np.einsum("ij,jk->ik", np.einsum("ij,jk->ik", down, coarse), right.T)
         # `scipy.ndimage.convolve` reads beyond an image that is smaller than the disc.
         reflected = np.pad(scaled, len(disc) // 2, mode="symmetric")
-        total += ghost.fraction * np.maximum(fftconvolve(reflected, disc, mode="valid"), 0.0)
+        total += ghost.fraction * np.maximum(convolve_inside(reflected, disc), 0.0)
     density = total / (np.diff(rows)[:, None] * np.diff(columns))
 
     def ghosts(part: slice) -> Array:
@@ -207,6 +205,23 @@ def _add_ghosts(spread: NDArray[np.floating], plane: NDArray[np.floating], camer
     spread[first] += fine * scale
     for part in others:
         spread[part] += ghosts(part) * scale
+
+
+def convolve_inside(image: Array, weights: Array) -> Array:
+    """The convolution of an image with square weights `(n, n)`, where these are inside it.
+
+    The bits of `scipy.signal.fftconvolve(image, weights, mode="valid")`, whose import takes a second of the
+    first frame.
+    """
+    from scipy.fft import irfftn, next_fast_len, rfftn
+
+    if len(weights) == 1:
+        return image * weights
+    rows, columns = image.shape
+    last = len(weights) - 1
+    size = [next_fast_len(length + last, real=True) for length in (rows, columns)]
+    result = irfftn(rfftn(image, size) * rfftn(weights, size), size)
+    return np.asarray(result[last:rows, last:columns].copy())
 
 
 def _scaled_cells(edges: NDArray[np.intp], centre: float, scale: float) -> Array:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,6 +20,7 @@ from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_light import largest_light_reach, lit_cameras
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder, make_greenhouse
+from pepperscene.dataset.scenes.scene_worker import SceneWorker
 from pepperscene.dataset.scenes.surfaces import SurfaceFactory
 from pepperscene.dataset.views.camera_views import CameraViews
 from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfaces
@@ -59,6 +61,16 @@ def mitsuba_renderer(scene: Scene) -> SceneRenderer:
     from pepperscene.render import Renderer
 
     return Renderer(scene)
+
+
+SurfacePreparation = Callable[[Iterable["Surface"]], None]
+
+
+def prepare_for_mitsuba(surfaces: Iterable[Surface]) -> None:
+    """Compute what the Mitsuba renderer needs of surfaces; scenes that share them need it once."""
+    from pepperscene.render import prepare_surfaces
+
+    prepare_surfaces(surfaces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,20 +181,26 @@ class FrameRenderer:
         """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""
         return self.assemble(spec, traced=traced).scene
 
-    def assemble(self, spec: FrameSpec, *, traced: bool = True) -> AssembledScene:
-        """The scene of a frame, as `scene`, with its statistics."""
+    def assemble(
+        self, spec: FrameSpec, *, traced: bool = True, prepare: SurfacePreparation | None = None
+    ) -> AssembledScene:
+        """The scene of a frame, as `scene`, with its statistics.
+
+        `prepare` is called with its surfaces, if they are made beside the row.
+        """
         from pepperscene.scene import assemble_scene
 
         setup = self.setups.at(spec)
         builder, others = self._builder(setup), self._frames_of_scene(spec, setup)
         # Surfaces and sky do not depend on the row, whose contacts keep one core busy.
-        beside = traced and builder.shares_work
-        if beside:
-            # Plants are made by two processes as well, so they come first.
-            builder.plants(spec.set)
-        optics = functools.partial(self._optics, spec, setup, others, other_process=beside)
-        with ThreadPoolExecutor(1) as pool:
-            pending = pool.submit(optics) if beside else None
+        beside = SceneWorker() if traced and builder.shares_work else None
+        optics = functools.partial(self._optics, spec, setup, others)
+        with beside or nullcontext(), ThreadPoolExecutor(1) as pool:
+            pending = None
+            if beside is not None:
+                # Plants are made by two processes as well, so they come first.
+                builder.plants(spec.set, beside)
+                pending = pool.submit(optics, prepare, beside)
             built = builder.scene(spec.set, spec.rotation)
             mesh = self._cull(built.mesh, others) if self.culled else built.mesh
         surfaces, sky = None, None
@@ -235,7 +253,8 @@ class FrameRenderer:
             # Release the old scene before making the new one.
             self._held = None
             self._on_stage("growing plants")
-            assembled = self.assemble(spec, traced=traced)
+            prepare = prepare_for_mitsuba if self._renderer_factory is mitsuba_renderer else None
+            assembled = self.assemble(spec, traced=traced, prepare=prepare)
             renderer = self._renderer_factory(assembled.scene)
             self._held = _HeldScene(key, (spec.set, setup.light), assembled, renderer)
         return self._held
@@ -259,16 +278,23 @@ class FrameRenderer:
         return largest_light_reach([self.setups.at(spec) for spec in specs])
 
     def _optics(
-        self, spec: FrameSpec, setup: FrameSetup, specs: Sequence[FrameSpec], *, other_process: bool
+        self,
+        spec: FrameSpec,
+        setup: FrameSetup,
+        specs: Sequence[FrameSpec],
+        prepare: SurfacePreparation | None = None,
+        worker: SceneWorker | None = None,
     ) -> tuple[dict[str, Surface], Sky | None]:
         """The surfaces of a scene over the wavelengths that any camera of its frames detects, and its sky."""
         distinct = {other.optics: other for other in map(self.setups.at, specs)}.values()
         cameras = [camera for other in distinct for camera in lit_cameras(other)]
         ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
-        surfaces = self._surfaces.surfaces(
-            setup.cultivar, float(first), float(last), other_process=other_process
-        )
+        surfaces = self._surfaces.surfaces(setup.cultivar, float(first), float(last), worker)
+        if worker is not None:
+            worker.close()
+        if prepare is not None:
+            prepare(surfaces.values())
         return surfaces, self.sky(spec)
 
 

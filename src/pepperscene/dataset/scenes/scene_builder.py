@@ -19,6 +19,7 @@ from pepperscene.dataset.scenes.plants import (
     make_plants,
     plant_processes,
 )
+from pepperscene.dataset.scenes.scene_worker import SceneWorker
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
@@ -109,13 +110,13 @@ class SceneBuilder:
         mesh = concatenate_meshes([resolved.mesh, *surroundings]) if surroundings else resolved.mesh
         return BuiltScene(mesh, _total_contacts(resolved.contacts, plants), skeleton)
 
-    def plants(self, set_index: int) -> list[PlacedPlant]:
-        """The plants of a set, those of the front row first."""
+    def plants(self, set_index: int, worker: SceneWorker | None = None) -> list[PlacedPlant]:
+        """The plants of a set, those of the front row first; a `worker` that helps is left open."""
         if self._set is None or self._set[0] != set_index:
             # Release the old plants before making new ones.
             self._set = None
             count = self.row.front + self.row.back
-            self._set = set_index, make_plants(self._factory, set_index, count, self._processes)
+            self._set = set_index, make_plants(self._factory, set_index, count, self._processes, worker)
         return self._set[1]
 
     @property

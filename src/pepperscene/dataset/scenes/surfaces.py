@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pepperscene.dataset.recipe.load_camera import GRID_STEP_NM
-from pepperscene.dataset.subprocess_rpc import Connection, WorkerProcess
+from pepperscene.dataset.scenes.scene_worker import SceneWorker
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
@@ -21,7 +22,7 @@ class SurfaceFactory:
         self._kept: tuple[tuple[Cultivar, float, float], dict[str, Surface]] | None = None
 
     def surfaces(
-        self, cultivar: Cultivar, first_nm: float, last_nm: float, *, other_process: bool = False
+        self, cultivar: Cultivar, first_nm: float, last_nm: float, worker: SceneWorker | None = None
     ) -> dict[str, Surface]:
         """The surfaces of a cultivar and of the greenhouse by name.
 
@@ -29,31 +30,19 @@ class SurfaceFactory:
             cultivar: its organs.
             first_nm: first wavelength, nanometres.
             last_nm: last wavelength, nanometres.
-            other_process: start a process for them, so that threads of this one can work meanwhile.
+            worker: another process that makes them, so that threads of this one can work meanwhile.
         """
         key = cultivar, first_nm, last_nm
         if self._kept is None or self._kept[0] != key:
             # Release the old surfaces before making new ones.
             self._kept = None
-            made = _fetch_surfaces(*key) if other_process else None
+            made = None
+            if worker is not None:
+                # If it cannot be started or fails, they are made here.
+                with suppress(OSError, EOFError):
+                    made = worker.call(make_surfaces, *key)
             self._kept = key, make_surfaces(*key) if made is None else made
         return self._kept[1]
-
-
-def _fetch_surfaces(cultivar: Cultivar, first_nm: float, last_nm: float) -> dict[str, Surface] | None:
-    """The surfaces, made by another process; None if it cannot be started or fails."""
-    try:
-        worker = WorkerProcess(__name__)
-    except OSError:
-        return None
-    try:
-        worker.send(None)
-        made: dict[str, Surface] = worker.call((cultivar, first_nm, last_nm))
-    except (OSError, EOFError):
-        return None
-    finally:
-        worker.close()
-    return made
 
 
 def make_surfaces(cultivar: Cultivar, first_nm: float, last_nm: float) -> dict[str, Surface]:
@@ -62,9 +51,3 @@ def make_surfaces(cultivar: Cultivar, first_nm: float, last_nm: float) -> dict[s
 
     nm = np.arange(first_nm, last_nm + GRID_STEP_NM / 2, GRID_STEP_NM)
     return {**organ_surfaces(cultivar, nm), **greenhouse_surfaces(nm)}
-
-
-def serve(connection: Connection) -> None:
-    """Make the requested surfaces, in a worker process."""
-    for request in connection:
-        connection.send(make_surfaces(*request))

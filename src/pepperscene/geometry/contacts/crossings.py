@@ -13,6 +13,7 @@ from pepperscene.geometry import compilation
 from pepperscene.geometry.contacts.coarse import ALL, FINE, Resolution, coarse_faces
 from pepperscene.geometry.contacts.crossing_arrays import transform_points
 from pepperscene.geometry.contacts.organs import LEAF, Organs
+from pepperscene.geometry.contacts.patches import expand_counts
 from pepperscene.geometry.contacts.triangles import OrganMotions, OrganPairs, OrganTriangles, Runs
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
@@ -30,7 +31,8 @@ class CoarseTriangles:
         if resolution is ALL and organs.is_contiguous:
             rows, corners, counts = _all_triangles(organs, chosen)
         else:
-            rows, corners, counts = _choose_triangles(organs, chosen, resolution)
+            choose = coarse_triangles_by_form if organs.is_contiguous else coarse_triangles
+            rows, corners, counts = choose(organs, chosen, resolution)
         vertex_runs, face_runs = (Runs(len(organs), chosen, count) for count in counts)
         self._rest = np.ascontiguousarray(organs.mesh.vertices.take(rows, axis=0).T)
         corners += np.repeat(vertex_runs.first[chosen], face_runs.count[chosen])
@@ -122,8 +124,42 @@ def _all_triangles(organs: Organs, chosen: IndexArray) -> _Chosen:
     return rows, corners, (next(counts), next(counts))
 
 
-def _choose_triangles(organs: Organs, chosen: IndexArray, resolution: Resolution) -> _Chosen:
-    """Coarse triangles on some of the vertices of organs."""
+def coarse_triangles_by_form(organs: Organs, chosen: IndexArray, resolution: Resolution) -> _Chosen:
+    """`coarse_triangles` of organs whose vertices are contiguous, for all organs of a form at a time."""
+    first, face_count = organs.first_vertices(chosen), organs.face_counts(chosen)
+    small = np.flatnonzero(face_count <= resolution.few)
+    rows, corners, counts = _all_triangles(organs, chosen[small])
+    vertex_count, coarse_count = np.empty((2, len(chosen)), dtype=np.intp)
+    vertex_count[small], coarse_count[small] = counts
+    # Organs of one form share their grid, and so the coarse triangles.
+    large = np.flatnonzero(face_count > resolution.few)
+    keys = organs.organ_class[chosen[large]] << 32 | face_count[large]
+    forms = []
+    for key in np.unique(keys):
+        group = large[keys == key]
+        uv = _typical_uv(organs, chosen[group].tolist())
+        used, own = np.unique(coarse_faces(uv, int(key >> 32), resolution), return_inverse=True)
+        own = own.reshape(-1, 3).T
+        vertex_count[group], coarse_count[group] = len(used), own.shape[1]
+        forms.append((group, used, own))
+    # Both kinds in the order of the organs.
+    vertex_start, face_start = (np.cumsum(count) - count for count in (vertex_count, coarse_count))
+    all_rows = np.empty(vertex_count.sum(), dtype=np.intp)
+    all_corners = np.empty((3, coarse_count.sum()), dtype=np.intp)
+    for values, whole, number, start in (
+        (rows, all_rows, counts[0], vertex_start[small]),
+        (corners, all_corners, counts[1], face_start[small]),
+    ):
+        position, step = expand_counts(number)
+        whole[..., start[position] + step] = values
+    for group, used, own in forms:
+        all_rows[vertex_start[group, None] + np.arange(len(used))] = first[group, None] + used
+        all_corners[:, face_start[group, None] + np.arange(own.shape[1])] = own[:, None]
+    return all_rows, all_corners, (vertex_count, coarse_count)
+
+
+def coarse_triangles(organs: Organs, chosen: IndexArray, resolution: Resolution) -> _Chosen:
+    """Coarse triangles on some of the vertices of organs, organ by organ."""
     groups: dict[tuple[int, int], list[int]] = {}
     keys = [(int(organs.organ_class[organ]), len(organs.faces(organ))) for organ in chosen.tolist()]
     for organ, key in zip(chosen.tolist(), keys, strict=True):

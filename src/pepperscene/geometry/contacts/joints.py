@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Final
 
 import numpy as np
@@ -90,7 +90,7 @@ class MovableUnit:
 def units_of(organs: Organs, organ: int) -> list[MovableUnit]:
     """The units that an organ belongs to, smallest first; none for stems, twine and cuts."""
     units = []
-    for root, above in pairwise([organ, *organs.ancestors(organ)]):
+    for root, above in pairwise(chain([organ], organs.ancestors(organ))):
         kind = organs.organ_class[root]
         if kind not in (FLOWER, LEAF, SHOOT, FRUIT, STALK):
             break

@@ -101,6 +101,7 @@ class LeafSolver:
         self._detector, self._organs = detector, detector.organs
         self._angles, self._move, self._units_of = angles, move, units_of
         self._leafy = np.isin(self._organs.organ_class, [LEAF, SHOOT])
+        self._leafy_units: dict[int, list[MovableUnit]] = {}
         self._examined = self._organs.of_class(LEAF, SHOOT, STALK, STEM)
         self._fine = CoarseTriangles(self._organs, self._examined)
         self._rough = CoarseTriangles(self._organs, self._examined, ROUGH)
@@ -205,12 +206,20 @@ class LeafSolver:
         units = {}
         for organ in chosen[self._leafy[chosen]].tolist():
             # Units that bear fruit stay.
-            group = [unit for unit in self._units_of(organ) if self._leafy[list(unit.members)].all()]
+            group = self._leafy_units_of(organ)
             if group:
                 # The blade alone and the leaf with its stalk in turns, later the shoot too.
                 unit = group[number % min(len(group), 2 if number < _LARGE_UNITS else 3)]
                 units[unit.root] = unit
         return list(units.values())
+
+    def _leafy_units_of(self, organ: int) -> list[MovableUnit]:
+        """The units of an organ that consist of leaves and shoots."""
+        if organ not in self._leafy_units:
+            self._leafy_units[organ] = [
+                unit for unit in self._units_of(organ) if self._leafy[list(unit.members)].all()
+            ]
+        return self._leafy_units[organ]
 
     def _candidate_poses(
         self, units: list[MovableUnit], count: int, phase: FloatArray, reach: float = 1.0

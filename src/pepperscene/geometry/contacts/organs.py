@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Final
@@ -136,6 +136,14 @@ class Organs:
         """Whether the vertices of each organ are contiguous in the mesh."""
         return self._vertices.order is None
 
+    def first_vertices(self, organs: IndexArray) -> IndexArray:
+        """`(n,)` index in the mesh of the first vertex of some organs, if those of each are contiguous."""
+        return self._vertices.first[organs]
+
+    def face_counts(self, organs: IndexArray) -> IndexArray:
+        """`(n,)` numbers of triangles of some organs."""
+        return np.asarray(self._face_runs.stop[organs] - self._face_runs.first[organs])
+
     def faces(self, organ: int) -> NDArray[np.uint32]:
         """`(f, 3)` vertices of the triangles of an organ."""
         return self.mesh.faces[self._face_runs.rows(organ)]
@@ -254,14 +262,10 @@ class Organs:
             stack += self._children[organ]
         return sorted(result)
 
-    def ancestors(self, organ: int) -> list[int]:
+    def ancestors(self, organ: int) -> Iterator[int]:
         """Parent, grandparent and so on."""
-        result = []
-        above = int(self.parent[organ])
-        while above >= 0:
-            result.append(above)
-            above = int(self.parent[above])
-        return result
+        while (organ := self._parents[organ]) >= 0:
+            yield organ
 
     def move(self, organs: IndexArray, rotation: FloatArray, shift: FloatArray) -> None:
         """Move every point p of each of some organs `(m,)` to rotation @ p + shift, `(m, 3, 3)`, `(m, 3)`."""
@@ -307,6 +311,10 @@ class Organs:
             vertices[rows] = self._current_points(organ, vertices[rows])
             normals[rows] = (normals[rows] @ self.rotation[organ].T).astype(np.float32)
         return replace(self.mesh, vertices=vertices, normals=normals)
+
+    @cached_property
+    def _parents(self) -> list[int]:
+        return self.parent.tolist()
 
     @cached_property
     def _children(self) -> list[list[int]]:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -231,6 +231,12 @@ def slope_pyramid(surface: Surface) -> SlopePyramid:
         squares = (mean**2 + levels[-1][..., 2:]).mean(axis=(0, 1, 2))
         _PYRAMIDS[surface] = SlopePyramid(levels, (float(squares[0]), float(squares[1])))
     return _PYRAMIDS[surface]
+
+
+def prepare_surfaces(surfaces: Iterable[Surface]) -> None:
+    """Filter the reliefs of surfaces ahead of the scene that needs them, which another thread may build."""
+    for surface in surfaces:
+        slope_pyramid(surface)
 
 
 def _slope_levels(height: Floats) -> list[Floats]:

@@ -65,7 +65,9 @@ class FlashSampler:
         distance = dr.sqrt(square)
         forward = self._to_world(pose, mi.Vector3f(0.0, 0.0, 1.0))
         cosine = dr.dot(offset, forward) / distance
-        x = dr.clip(dr.safe_acos(cosine) * self.steps, 0.0, 510.999)
+        position = dr.safe_acos(cosine) * self.steps
+        # Written like this, the NaN of an inactive lane reads entry 0, not an address outside the table.
+        x = dr.select(position > 0.0, dr.minimum(position, 510.999), 0.0)
         left = dr.floor(x)
         index = mi.UInt32(left)
         profile = dr.lerp(
