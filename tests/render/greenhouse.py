@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -67,8 +68,9 @@ def surfaces(nm: np.ndarray) -> dict[str, Surface]:
     return {**organ_surfaces(load_cultivar("kaite"), nm), twine.name: twine}
 
 
+@cache
 def greenhouse() -> Scene:
-    """Two plants under a partly cloudy sky."""
+    """Two plants under a partly cloudy sky, grown once a process."""
     return assemble_scene(row_of_plants(), surfaces(NM), cloudy_sky())
 
 
