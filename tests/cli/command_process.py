@@ -43,7 +43,7 @@ TOGETHER = (
     "    print('\\0', end='', flush=True)\n"
     "    del words[: end + 1]\n",
 )
-"""Commands one after the other in one process, each followed by `SEPARATOR`; a NUL ends the output of each."""
+"""Commands one after the other in one process, each followed by `SEPARATOR`; a NUL ends each output."""
 
 ONE_PLANT = (
     "--set", "plan.sets=1", "--set", "plan.rotations=1", "--set", "plan.frames=2", "--set",
