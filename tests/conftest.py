@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -19,11 +19,20 @@ UNIT = {
 """Folders whose tests neither render nor start processes."""
 LONGEST = {"test_docs.py", "test_notebooks.py", "test_memory_growth.py"}
 """Files with tests of about a minute."""
+ROWS = "PEPPERSCENE_TEST_ROWS"
+"""Variable with the folder of rows, which the first of several test processes creates and removes."""
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     # With this variable, pytest shows the whole difference of unequal images, which takes hours.
     os.environ.pop("CI", None)
+    if not hasattr(config, "workerinput"):
+        os.environ[ROWS] = tempfile.mkdtemp(prefix="pepperscene-rows-")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ.pop(ROWS, ""), ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -40,8 +49,6 @@ def kaite() -> Cultivar:
 
 
 @pytest.fixture(scope="session")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Folder of the rows of plants that examples have grown; they take gigabytes."""
-    folder = tmp_path_factory.mktemp("rows")
-    yield folder
-    shutil.rmtree(folder)
+def rows() -> Path:
+    """Folder of the rows of plants that examples have grown, in any of the test processes."""
+    return Path(os.environ[ROWS])

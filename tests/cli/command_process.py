@@ -19,10 +19,31 @@ ENTRY = ("-m", "pepperscene")
 FAST_ENTRY = (
     "-c",
     "import pepperscene.dataset.scenes.frame_renderer as frame_renderer, stand_in\n"
+    "from pepperscene.geometry import rectangle\n"
+    "from pepperscene.scene import assemble_scene\n"
+    "scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))\n"
+    "assembled = frame_renderer.AssembledScene(scene, {})\n"
+    "frame_renderer.FrameRenderer.assemble = lambda *_args, **_kwargs: assembled\n"
     "frame_renderer.mitsuba_renderer = stand_in.StandIn\n"
     "from pepperscene.__main__ import main; main()\n",
 )
-"""The command line with a renderer that draws noise."""
+"""The command line with scenes without plants, and a renderer that draws noise."""
+SEPARATOR = "--then"
+TOGETHER = (
+    "-c",
+    "import sys\n"
+    "from pepperscene.cli import app\n"
+    "from pepperscene.cli.streams import protect_streams\n"
+    "protect_streams()\n"
+    "words = sys.argv[1:]\n"
+    "while words:\n"
+    f"    end = words.index({SEPARATOR!r})\n"
+    "    code = app(words[:end], standalone_mode=False)\n"
+    "    assert not code, (code, words[:end])\n"
+    "    print('\\0', end='', flush=True)\n"
+    "    del words[: end + 1]\n",
+)
+"""Commands one after the other in one process, each followed by `SEPARATOR`; a NUL ends each output."""
 
 ONE_PLANT = (
     "--set", "plan.sets=1", "--set", "plan.rotations=1", "--set", "plan.frames=2", "--set",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -39,11 +40,14 @@ class StubRenderer:
 def command():
     """Function that runs a command line and returns exit code, standard output and standard error."""
     runner = CliRunner()
+    commands = typer.main.get_command(app)
 
     def run(*arguments):
         # Only during the command, so that other tests of the same process render for real.
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(frame_renderer, "mitsuba_renderer", StubRenderer)
+            # The runner would read the signatures of all commands again, for longer than most tests take.
+            patch.setattr("typer.testing._get_command", lambda _: commands)
             return runner.invoke(app, [str(argument) for argument in arguments])
 
     return run

@@ -11,6 +11,7 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from row_cache import rows_from
 
 from pepperscene.document import read_toml
 from pepperscene.shipped import shipped_folder
@@ -122,8 +123,10 @@ def test_files_are_valid_before_mutation(command):
 
 @thorough
 @given(mutated(RECIPE))
-def test_mutated_recipes(command, recipe):
-    check(command, recipe, GOOD_CULTIVAR, "class")
+def test_mutated_recipes(command, rows, recipe):
+    # Most recipes that are still valid have the same plant.
+    with rows_from(rows):
+        check(command, recipe, GOOD_CULTIVAR, "class")
 
 
 @thorough

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from command_process import FAST_ENTRY, ONE_PLANT, Command
+from command_process import FAST_ENTRY, ONE_PLANT, SEPARATOR, TOGETHER, Command
 
 from pepperscene.dataset import open_dataset
 
@@ -169,6 +169,7 @@ def test_a_removed_current_folder_is_one_sentence(tmp_path):
 
 
 NAME = b"caf\xe9"
+SMALL = ("--set", "camera.width=200", "--set", "camera.height=150")
 
 
 @pytest.fixture(scope="module")
@@ -177,18 +178,18 @@ def odd_set(tmp_path_factory):
     parent = os.fsencode(tmp_path_factory.mktemp("names"))
     folder = os.path.join(parent, NAME)
     outputs = ("--outputs", "colour,class,instance,distance", "--quality", "draft")
-    code, output, errors = Command(*build(os.fsdecode(folder), *outputs)).finish()
+    code, output, errors = Command(*build(os.fsdecode(folder), *outputs, *SMALL)).finish()
     assert (code, output) == (0, b"2 frames built: " + folder + b"\n"), errors
     return folder
 
 
 def run_together(*commands):
     """Standard output of several commands that succeed, without tracebacks."""
-    outputs = []
-    for command in [Command(*arguments) for arguments in commands]:
-        code, output, errors = command.finish()
-        assert code == 0, errors.decode()
-        outputs.append(output)
+    words = [word for arguments in commands for word in (*arguments, SEPARATOR)]
+    code, output, errors = Command(*words, entry=TOGETHER).finish()
+    assert code == 0, errors.decode()
+    *outputs, rest = output.split(b"\0")
+    assert (len(outputs), rest) == (len(commands), b"")
     return outputs
 
 
@@ -197,7 +198,7 @@ def test_commands_read_and_print_folders_whose_names_are_not_utf8(odd_set):
     checked, reported, built, _ = run_together(
         ("check", odd_set),
         ("report", odd_set, "--beside", odd_set),
-        (*build(os.fsdecode(odd_set)), "--json", "--quality", "draft"),
+        (*build(os.fsdecode(odd_set), *SMALL), "--json", "--quality", "draft"),
         ("compare", odd_set, odd_set, "--figure", figure),
     )
     assert checked == odd_set + b": 2 frames, no faults\n"

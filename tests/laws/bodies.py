@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import trimesh
 
-from pepperscene.camera import AngularProfile, Camera, Flash, load_flash, load_lens, load_sensor
+from pepperscene.camera import AngularProfile, Camera, Flash, Sensor, load_flash, load_lens, load_sensor
 from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.materials import Surface
@@ -77,9 +78,20 @@ def axis_camera(
     `flash` is the recipe's with `flash_changes`, none, or another one.
     """
     if flash is True:
-        flash = replace(load_flash("led_matrix_200klx"), **flash_changes)  # type: ignore[arg-type]
-    cropped = replace(load_sensor(sensor), columns=columns, rows=rows)
+        flash = replace(_flash(), **flash_changes) if flash_changes else _flash()  # type: ignore[arg-type]
+    cropped = _cropped(sensor, columns, rows)
     return Camera(load_lens("lensagon_cmfa0420nd"), cropped, np.eye(4), 50e-6, flash or None)
+
+
+# Made once a process, as for a recipe: what is computed once for a sensor takes half of a small frame.
+@cache
+def _cropped(sensor: str, columns: int, rows: int) -> Sensor:
+    return replace(load_sensor(sensor), columns=columns, rows=rows)
+
+
+@cache
+def _flash() -> Flash:
+    return load_flash("led_matrix_200klx")
 
 
 def point_flash_camera(columns: int = 16, rows: int = 12, **changes: object) -> Camera:

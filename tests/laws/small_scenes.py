@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from bodies import axis_camera
@@ -33,6 +34,7 @@ def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
     }
 
 
+@cache
 def plants_view(*, daylight: bool = False) -> tuple[Scene, Camera]:
     """Two plants of the demo: the middle of a frame, by flash or by bright daylight alone."""
     recipe = load_recipe("demo")

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -67,15 +68,20 @@ def surfaces(nm: np.ndarray) -> dict[str, Surface]:
     return {**organ_surfaces(load_cultivar("kaite"), nm), twine.name: twine}
 
 
+@cache
 def greenhouse() -> Scene:
-    """Two plants under a partly cloudy sky."""
+    """Two plants under a partly cloudy sky, grown once a process."""
     return assemble_scene(row_of_plants(), surfaces(NM), cloudy_sky())
 
 
+@cache
 def camera(
     step: int = 1, *, columns: int = 80, rows: int = 60, distorted: bool = False, flash: bool = True
 ) -> Camera:
-    """The recipe's camera with its flash; binned to few large pixels, with the same field of view."""
+    """The recipe's camera with its flash; binned to few large pixels, with the same field of view.
+
+    Made once a process, as of a recipe: what is computed once for a sensor takes half of a small frame.
+    """
     sensor = load_sensor("ueye_ui5250re")
     lens = load_lens("lensagon_cmfa0420nd")
     if distorted:
@@ -121,5 +127,6 @@ def digests(frame: Frame) -> dict[str, str]:
 
 
 def fresh_digests() -> dict[str, str]:
-    """Digests of the default outputs of one frame, with a new scene and renderer."""
-    return digests(Renderer(greenhouse()).render(camera(), DEFAULT_OUTPUTS, "standard", 5))
+    """Digests of the default outputs of one frame, with a new scene, renderer and camera."""
+    scene, view = greenhouse.__wrapped__(), camera.__wrapped__()
+    return digests(Renderer(scene).render(view, DEFAULT_OUTPUTS, "standard", 5))

@@ -40,7 +40,9 @@ for number in range({SCENES}):
     surfaces = dict(zip(mesh.surfaces, first.surfaces))
     renderer = Renderer(assemble_scene(mesh, surfaces, cloudy_sky(number)))
     for frame in range({FRAMES}):
-        renderer.render(camera(frame % 3, columns=32, rows=24), DEFAULT_OUTPUTS, "draft", frame)
+        # A new camera each time, of which nothing may be kept.
+        view = camera.__wrapped__(frame % 3, columns=32, rows=24)
+        renderer.render(view, DEFAULT_OUTPUTS, "draft", frame)
     del renderer
     sizes.append(resident())
 print(json.dumps(sizes))

@@ -52,6 +52,7 @@ def truncated_moments(mean: float, sd: float, low: float, high: float) -> tuple[
     return mean + sd * shift, sd * math.sqrt(max(variance, 0.0))
 
 
+@lru_cache(maxsize=4096)  # chosen: a cultivar has some hundred, and several cultivars share most
 def parent_normal(mean: float, sd: float, low: float, high: float) -> tuple[float, float]:
     """Mean and sd of the normal distribution that has `mean` and `sd` when truncated to [low, high].
 

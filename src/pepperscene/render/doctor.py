@@ -37,8 +37,8 @@ TIME_LIMIT_S: Final = 120.0
 _REFLECTANCE: Final = 0.5  # of the sphere in the test render; chosen
 _TEST_RENDER: Final = "from pepperscene.render.doctor import render_test_scene; render_test_scene()"
 _TEST_DENOISER: Final = (
-    "import pyoidn\n"
-    "with pyoidn.Device() as device:\n"
+    "from pepperscene.render.transport.denoise import open_image_denoise\n"
+    "with open_image_denoise().Device() as device:\n"
     "    device.commit()\n"
     "    assert device.get_error() is None, device.get_error()\n"
 )
