@@ -59,6 +59,7 @@ def test_wheel_has_a_licence_and_finds_its_data(unpacked: Path) -> None:
     )
     command = [
         sys.executable,
+        "-B",  # no byte code in the folder, whose files are listed
         "-S",
         "-c",
         f"import sys; sys.path[:0] = {[str(unpacked), *sys.path]!r}\n{code}",
