@@ -22,7 +22,7 @@ from pepperscene.camera import (
     row_strips,
 )
 from pepperscene.camera.readout import bin_photosites
-from pepperscene.camera.row_strips import STRIP_PIXELS
+from pepperscene.camera.row_strips import LARGEST_WHOLE, STRIP_PIXELS
 
 FLASH = load_flash("led_matrix_200klx")
 BINNED = replace(load_sensor("ueye_ui5250re"), columns=60, rows=50)
@@ -50,6 +50,7 @@ def short_strips(monkeypatch):
 
     def in_strips(compute):
         with monkeypatch.context() as patch:
+            patch.setattr(row_strips, "LARGEST_WHOLE", 1)
             patch.setattr(row_strips, "STRIP_PIXELS", 600)
             return compute()
 
@@ -70,7 +71,7 @@ def test_strips_are_even_parts_of_the_image(size):
     width, height = size
     strips = row_strips.row_strips(width, height)
     assert [row for rows in strips for row in range(height)[rows]] == list(range(height))
-    assert (len(strips) == 1) == (width * height <= STRIP_PIXELS)
+    assert (len(strips) == 1) == (width * height <= LARGEST_WHOLE)
     if len(strips) > 1:
         assert all(rows.start % 2 == 0 for rows in strips)
         assert (strips[0].stop - 2) * width <= STRIP_PIXELS

@@ -29,6 +29,7 @@ def in_strips(monkeypatch):
 
     def compute(function, rows=ROWS, width=48):
         with monkeypatch.context() as patch:
+            patch.setattr(row_strips, "LARGEST_WHOLE", 1)
             patch.setattr(row_strips, "STRIP_PIXELS", rows * width)
             patch.setattr(strips, "TILE_PIXELS", 1)
             return function()

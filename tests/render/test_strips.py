@@ -33,6 +33,7 @@ def in_strips(monkeypatch):
 
     def render(rows, renderer, view, *arguments, **named):
         with monkeypatch.context() as patch:
+            patch.setattr(row_strips, "LARGEST_WHOLE", 1)
             patch.setattr(row_strips, "STRIP_PIXELS", rows * view.width)
             patch.setattr(strips, "TILE_PIXELS", 1)
             assert len(row_strips.row_strips(view.width, view.height)) == -(-view.height // rows)
