@@ -6,7 +6,7 @@ from typing import Final
 
 LARGEST_WHOLE: Final = 1 << 21
 """Pixels of the largest image that is computed as a whole. Chosen: images of 1920 x 1080 and 1600 x 1200 are.
-In two strips, the latter takes 1.6 instead of 2.8 GB, and 1.2 to 1.5 times the CPU time."""
+In two strips, the latter takes 1.5 instead of 2.8 GB, and 1.2 to 1.5 times the CPU time."""
 STRIP_PIXELS: Final = 1 << 20
 """Pixels of a strip, at most, if that is two rows or more. Chosen: the light of a strip of 6000 x 170 pixels
 takes 0.3 GB while it is traced; with half as many, neighbours would share more rows than a strip has."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
@@ -21,7 +21,7 @@ from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_light import largest_light_reach, lit_cameras
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder, make_greenhouse
 from pepperscene.dataset.scenes.scene_worker import SceneWorker
-from pepperscene.dataset.scenes.surfaces import SurfaceFactory
+from pepperscene.dataset.scenes.surfaces import SurfaceFactory, SurfacePreparation, prepare_for_mitsuba
 from pepperscene.dataset.views.camera_views import CameraViews
 from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfaces
 
@@ -61,16 +61,6 @@ def mitsuba_renderer(scene: Scene) -> SceneRenderer:
     from pepperscene.render import Renderer
 
     return Renderer(scene)
-
-
-SurfacePreparation = Callable[[Iterable["Surface"]], None]
-
-
-def prepare_for_mitsuba(surfaces: Iterable[Surface]) -> None:
-    """Compute what the Mitsuba renderer needs of surfaces; scenes that share them need it once."""
-    from pepperscene.render import prepare_surfaces
-
-    prepare_surfaces(surfaces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,6 +282,7 @@ class FrameRenderer:
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
         surfaces = self._surfaces.surfaces(setup.cultivar, float(first), float(last), worker)
         if worker is not None:
+            # Its memory is not needed any more, while the row is still being made.
             worker.close()
         if prepare is not None:
             prepare(surfaces.values())

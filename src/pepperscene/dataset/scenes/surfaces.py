@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,16 @@ from pepperscene.dataset.scenes.scene_worker import SceneWorker
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.materials import Surface
+
+
+SurfacePreparation = Callable[[Iterable["Surface"]], None]
+
+
+def prepare_for_mitsuba(surfaces: Iterable[Surface]) -> None:
+    """Compute what the Mitsuba renderer needs of surfaces; scenes that share them need it once."""
+    from pepperscene.render import prepare_surfaces
+
+    prepare_surfaces(surfaces)
 
 
 class SurfaceFactory:

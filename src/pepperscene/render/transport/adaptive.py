@@ -31,13 +31,13 @@ VARIANCE_GAIN: Final = 0.8
 """Of the equation above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
 samples are distributed by need."""
 _INDIRECT_SHARES: Final = (0.2, 0.4)
+"""Indirect light as part of all light, by flash and by daylight; chosen between measured shares of .04 in
+`barth2018` and .37 to .82 in `randomised` and `greenhouse`. The fraction below is linear between them."""
 _DENOISED_BY_FLASH: Final = 0.15
-"""Fraction of the standard error of indirect light after denoising where little of all light is indirect:
-chosen for the smaller of `_INDIRECT_SHARES` and below. Measured for 2 to 16 samples: .13 to .17 in two frames
-of `barth2018` by flash (share .04)."""
+"""Fraction of the standard error of indirect light that is left after denoising, at the smaller share and
+below. Measured for 2 to 16 samples: .13 to .17 in two frames of `barth2018` by flash (share .04)."""
 _DENOISED_BY_DAYLIGHT: Final = 0.56
-"""The same where the share is the greater of the two, or above, and the standard error is one code; linear
-between them."""
+"""The same at the greater share and above, for a standard error of one code; linear between the shares."""
 _DAYLIGHT_EXPONENT: Final = 0.75
 """Power of the standard error that the error after denoising is proportional to there: fine shadows in the
 light of the sky are lost, however little noise there is. Both fitted to 5.2 codes of 17 and 6.9 of 28 in
