@@ -311,8 +311,7 @@ def test_reported_error_follows_from_the_variances(denoised):
     # By hand: Mitchell's equation for direct light, plain Monte Carlo for the rest of the indirect light.
     codes = code_response(accumulator.total(), accumulator.white, camera)
     variance = 0.8 * ndimage.uniform_filter(direct, 3, mode="nearest") * 4**-1.5
-    traced = np.sqrt(np.mean(codes.per_white**2 * indirect / 4))
-    variance += indirect / 4 * (denoised_error(0.5, traced) ** 2 if denoised else 1.0)
+    variance += indirect / 4 * (denoised_error(0.5) ** 2 if denoised else 1.0)
     error, noise = codes.per_white**2 * variance, codes.noise**2
     assert reported["error_codes"] == pytest.approx(np.sqrt(error.mean()), rel=5e-3)
     assert reported["noise_codes"] == pytest.approx(np.sqrt(noise.mean()), rel=1e-4)
@@ -419,8 +418,7 @@ def test_direct_samples_are_in_balance_where_indirect_light_misses_the_target():
     required = sampler.required(accumulator)
     # The number that is wanted, before the limits of a round: at most four times as many as there are.
     assert required.max() <= 16
-    remaining = float(np.mean(codes.per_white**2 * indirect)) / 4
-    remaining *= denoised_error(0.5, np.sqrt(remaining)) ** 2
+    remaining = float(np.mean(codes.per_white**2 * indirect)) * denoised_error(0.5) ** 2 / 4
     variance = (codes.per_white**2 * ndimage.uniform_filter(direct, 3, mode="nearest")).ravel()
     share = 0.1
     for _ in range(20):

@@ -31,17 +31,11 @@ VARIANCE_GAIN: Final = 0.8
 """Of the equation above, measured on `barth2018`: .4 for 4, .5 for 8 samples in every pixel, .7 to .9 where
 samples are distributed by need."""
 _INDIRECT_SHARES: Final = (0.2, 0.4)
-"""Indirect light as part of all light, by flash and by daylight; chosen between measured shares of .04 in
-`barth2018` and .37 to .82 in `randomised` and `greenhouse`. The fraction below is linear between them."""
-_DENOISED_BY_FLASH: Final = 0.15
-"""Fraction of the standard error of indirect light that is left after denoising, at the smaller share and
-below. Measured for 2 to 16 samples: .13 to .17 in two frames of `barth2018` by flash (share .04)."""
-_DENOISED_BY_DAYLIGHT: Final = 0.56
-"""The same at the greater share and above, for a standard error of one code; linear between the shares."""
-_DAYLIGHT_EXPONENT: Final = 0.75
-"""Power of the standard error that the error after denoising is proportional to there: fine shadows in the
-light of the sky are lost, however little noise there is. Both fitted to 5.2 codes of 17 and 6.9 of 28 in
-`greenhouse` (share .59), and 1.8 of 4.9 and 2.4 of 7.3 in `randomised` (.37), which agree within 8 %."""
+_DENOISED_ERRORS: Final = (0.15, 0.19)
+"""Fraction of the standard error of indirect light after denoising, by the share of indirect light in all
+light; chosen: constant outside of these shares, linear between. Measured for 2 to 16 samples: .13 to .17 in
+two frames of `barth2018` by flash (share .04); .17 to .20 in two of `greenhouse` (.6) and one of `randomised`
+(.4) by daylight, where fine shadows in the light of the sky are lost."""
 _INDIRECT_COST: Final = 18.0
 """Time of a sample of indirect light over that of a further one of direct light; measured: 15 to 23."""
 _BALANCE_STEPS: Final = 3  # chosen: the next step would change the number of samples by some per cent
@@ -85,16 +79,15 @@ class AdaptiveSampler:
         direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
         indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
         # Direct light may have the error that indirect light leaves of the target, at least half of it.
-        number = accumulator.indirect_samples
-        remaining = float(np.mean(indirect)) / number
-        remaining *= self._indirect_factor(accumulator.indirect_share(), remaining)
+        remaining = float(np.mean(indirect)) * self._indirect_factor(accumulator.indirect_share())
+        remaining /= accumulator.indirect_samples
         allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
         left = max(allowed - remaining, 0.5 * allowed)
         wanted = self._distribute(direct.ravel(), left)
         if remaining > allowed:
             # The target cannot be met, and more direct samples than in balance would be wasted.
             for _ in range(_BALANCE_STEPS):
-                balanced = remaining * balanced_share(float(wanted.mean()), number)
+                balanced = remaining * balanced_share(float(wanted.mean()), accumulator.indirect_samples)
                 wanted = self._distribute(direct.ravel(), max(left, balanced))
         taken = accumulator.samples
         limit = np.minimum(taken * _GROWTH, np.maximum(self.max_samples, taken))
@@ -109,10 +102,8 @@ class AdaptiveSampler:
         variance, codes = light.variance, self._code_response(light.total, light.variance.white)
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
-        share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
-        indirect = variance.indirect * np.float32(1.0 / max(variance.indirect_samples, 1))
-        traced = float(codes.squared(indirect, _MAX_ERROR).mean())
-        of_mean += indirect * np.float32(self._indirect_factor(share, traced))
+        factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
+        of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         return SamplingError(
             pixels=error.size,
@@ -123,14 +114,9 @@ class AdaptiveSampler:
             below_half_of_noise=float((error <= 0.25 * noise).mean()),
         )
 
-    def _indirect_factor(self, share: float, variance: float) -> float:
-        """Fraction of the variance of indirect light that remains.
-
-        Args:
-            share: indirect light as part of all light.
-            variance: of the mean over the samples, squared codes.
-        """
-        return denoised_error(share, variance**0.5) ** 2 if self._denoised else 1.0
+    def _indirect_factor(self, share: float) -> float:
+        """Fraction of the variance of indirect light that remains; `share` is its part of all light."""
+        return denoised_error(share) ** 2 if self._denoised else 1.0
 
     def _code_response(self, signal: Callable[[], Floats], white: NDArray[np.float64]) -> CodeResponse:
         if self._codes is None:
@@ -199,16 +185,13 @@ def balanced_share(direct_samples: float, indirect_samples: int) -> float:
     return direct_samples / (1.5 * _INDIRECT_COST * indirect_samples + 0.5 * direct_samples)
 
 
-def denoised_error(share: float, standard_error: float) -> float:
+def denoised_error(share: float) -> float:
     """Fraction of the standard error of indirect light after denoising.
 
     Args:
         share: indirect light as part of all light of the image.
-        standard_error: of indirect light as traced, root mean square over the image, codes.
     """
-    # Errors below a code are not seen, and were not measured.
-    by_daylight = _DENOISED_BY_DAYLIGHT * max(standard_error, 1.0) ** (_DAYLIGHT_EXPONENT - 1.0)
-    return float(np.interp(share, _INDIRECT_SHARES, (_DENOISED_BY_FLASH, by_daylight)))
+    return float(np.interp(share, _INDIRECT_SHARES, _DENOISED_ERRORS))
 
 
 def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float:
