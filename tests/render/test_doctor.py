@@ -110,6 +110,21 @@ def test_wrong_image_is_reported():
     assert not line_of(diagnosis, "test render").good
 
 
+@pytest.mark.parametrize(
+    ("backend", "has_gpu", "found"),
+    [
+        ("llvm", "false", "no usable CUDA GPU; using the CPU"),
+        ("llvm", "true", "CUDA, not in use; PEPPERSCENE_VARIANT=cuda_ad_spectral renders with it"),
+        ("cuda", "true", "CUDA, in use"),
+    ],
+)
+def test_a_gpu_is_reported_with_how_to_use_it(backend, has_gpu, found):
+    code = f'print(\'{{"variant": "{backend}_ad_spectral", "cuda": {has_gpu}, "furnace": 0.5}}\')'
+    gpu = line_of(diagnose(test_code=code), "GPU")
+    assert gpu.good
+    assert gpu.found == found
+
+
 def test_missing_variant_is_reported_with_advice(monkeypatch):
     # An unsupported variant simulates a machine without any.
     monkeypatch.setenv("PEPPERSCENE_VARIANT", "scalar_rgb")

@@ -115,6 +115,13 @@ def test_separate_light_of_flash_and_daylight_takes_memory(camera):
         assert estimate(without, "colour") == estimate(replace(camera, flash=None), "colour")
 
 
+def test_a_gpu_takes_memory_of_the_host(camera, monkeypatch):
+    monkeypatch.delenv("PEPPERSCENE_VARIANT", raising=False)
+    on_cpu = estimate(camera, "class")
+    monkeypatch.setenv("PEPPERSCENE_VARIANT", "cuda_ad_spectral")
+    assert estimate(camera, "class") > on_cpu + 300e6
+
+
 def test_images_that_are_written_take_memory(camera):
     assert written_memory(camera, ["colour", "distance"]) >= 800 * 600 * 7
     assert written_memory(camera, ["harvest"]) == 0

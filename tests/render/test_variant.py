@@ -192,7 +192,7 @@ def test_raises_on_an_unsuitable_library_in_the_environment(monkeypatch, tmp_pat
 
 @pytest.mark.parametrize("wanted", ["scalar_rgb", "llvm_ad_rgb", "cuda_ad_spectral ", "LLVM_AD_SPECTRAL"])
 def test_raises_on_an_unsupported_variant(monkeypatch, backends, wanted):
-    allowed = "cuda_ad_spectral, llvm_ad_spectral"
+    allowed = "llvm_ad_spectral, cuda_ad_spectral"
     with pytest.raises(SetupError, match=allowed) as error:
         choose_variant(wanted)
     assert repr(wanted) in str(error.value)
@@ -201,12 +201,19 @@ def test_raises_on_an_unsupported_variant(monkeypatch, backends, wanted):
         choose_variant()
 
 
-def test_gpu_precedes_cpu(backends, tmp_path):
+def test_a_gpu_is_used_on_request_only(monkeypatch, backends, tmp_path):
     library(tmp_path, "libLLVM.so.23.1")
-    assert choose_variant() == "llvm_ad_spectral"
     backends.add("cuda")
+    assert choose_variant() == "llvm_ad_spectral"
+    assert choose_variant("cuda_ad_spectral") == "cuda_ad_spectral"
+    monkeypatch.setenv(VARIANT_VARIABLE, "cuda_ad_spectral")
     assert choose_variant() == "cuda_ad_spectral"
-    assert choose_variant("llvm_ad_spectral") == "llvm_ad_spectral"
+    # Without LLVM the message says how to use the GPU; it is not chosen silently.
+    (tmp_path / "libLLVM.so.23.1").unlink()
+    monkeypatch.delenv(VARIANT_VARIABLE)
+    monkeypatch.delenv(LLVM_VARIABLE)
+    with pytest.raises(SetupError, match="PEPPERSCENE_VARIANT=cuda_ad_spectral"):
+        choose_variant()
 
 
 def test_argument_precedes_environment(monkeypatch, backends, tmp_path):

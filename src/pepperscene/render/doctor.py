@@ -23,6 +23,7 @@ from pepperscene.render.variant import (
     LACKS_MEMORY,
     LLVM_VARIABLE,
     OLDEST_LLVM,
+    VARIANT_VARIABLE,
     LlvmExaminationError,
     choose_variant,
     find_llvm,
@@ -207,7 +208,7 @@ def _check_rendering(child: _ChildResult) -> list[Check]:
     if "variant" in printed:
         lines.append(Check("variant", str(printed["variant"])))
     if "cuda" in printed:
-        lines.append(Check("GPU", "CUDA, usable" if printed["cuda"] else "no usable CUDA GPU; using the CPU"))
+        lines.append(Check("GPU", _describe_gpu(str(printed.get("variant")), bool(printed["cuda"]))))
 
     ratio = printed.get("furnace")
     if child.code == 0 and isinstance(ratio, float):
@@ -223,6 +224,14 @@ def _check_rendering(child: _ChildResult) -> list[Check]:
     else:
         lines.append(Check("test render", str(child), good=False, advice=child.advice))
     return lines
+
+
+def _describe_gpu(variant: str, is_usable: bool) -> str:
+    if not is_usable:
+        return "no usable CUDA GPU; using the CPU"
+    if variant.startswith("cuda"):
+        return "CUDA, in use"
+    return f"CUDA, not in use; {VARIANT_VARIABLE}=cuda_ad_spectral renders with it"
 
 
 def _check_package(name: str) -> Check:
@@ -243,7 +252,7 @@ def _check_llvm() -> Check:
     except SetupError as error:
         return Check("LLVM", str(error), good=False, advice=f"unset {LLVM_VARIABLE}, or {_INSTALL_LLVM}")
     if library is None:
-        # With a CUDA GPU this is no error; the test render decides.
+        # With the variant of a GPU this is no error; the test render decides.
         return Check("LLVM", "; ".join(problems) or f"no library of version {OLDEST_LLVM} or newer")
     return Check("LLVM", f"{version} ({library})")
 

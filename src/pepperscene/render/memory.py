@@ -20,13 +20,17 @@ from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
 from pepperscene.render.transport.strips import SURROUNDINGS, TILE_PIXELS
-from pepperscene.render.variant import wanted_threads
+from pepperscene.render.variant import requested_variant, wanted_threads
 
 _MARGIN: Final = 1.07
 """Chosen: measured peaks are at most 7 % above the sum of the parts below, and at most 15 % under it."""
 
 _PROCESS: Final = 150e6
 """Bytes: the interpreter, the libraries and compiled kernels; measured 120 to 170 MB."""
+
+_GPU_DRIVER: Final = 330e6
+"""Bytes of a process that renders on a GPU: CUDA, OptiX, and the host's part of their memory. Measured on an
+NVIDIA H200 (driver 580): 250 to 300 MB with labels, 340 to 370 MB with colours."""
 
 _COMPILER: Final = 100e6
 """Bytes, where Numba is installed: its compiler, and the contacts that it compiles; measured 102 MB."""
@@ -143,6 +147,8 @@ def _frame_memory(
     camera: Camera, outputs: Collection[str], quality: Quality, triangles: int, *, in_strips: bool
 ) -> int:
     total = _PROCESS + _PER_TRIANGLE * triangles
+    if requested_variant().startswith("cuda"):
+        total += _GPU_DRIVER
     if compilation.AVAILABLE:
         total += _COMPILER
     is_traced = any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS)

@@ -18,9 +18,13 @@ from typing import Any, Final
 
 from pepperscene.errors import SetupError
 
-VARIANTS: Final = ("cuda_ad_spectral", "llvm_ad_spectral")
-"""Usable variants, best first. Scalar variants would call the Python plugins once per ray."""
+VARIANTS: Final = ("llvm_ad_spectral", "cuda_ad_spectral")
+"""Usable variants; the first is the default. Scalar variants would call the Python plugins once per ray.
 
+The GPU is used on request only: the guarded tests run on the CPU, and on a GPU a first frame takes longer.
+"""
+
+VARIANT_VARIABLE: Final = "PEPPERSCENE_VARIANT"
 OLDEST_LLVM: Final = 17
 LLVM_VARIABLE: Final = "DRJIT_LIBLLVM_PATH"
 THREADS_VARIABLE: Final = "PEPPERSCENE_THREADS"
@@ -123,23 +127,22 @@ def _examination_error(path: Path, reason: str) -> LlvmExaminationError:
 
 
 def choose_variant(requested: str | None = None) -> str:
-    """Choose the best variant that runs on this machine, and set the LLVM library that Dr.Jit will load.
+    """Check that the requested variant runs on this machine, and set the LLVM library that Dr.Jit will load.
 
     Args:
-        requested: this one of `VARIANTS` and no other; default `PEPPERSCENE_VARIANT` from the environment.
+        requested: one of `VARIANTS`; default as for `requested_variant`.
 
     Raises:
-        SetupError: no variant runs; the message says what to install.
+        SetupError: the variant is unknown or does not run; the message says what to install.
     """
-    requested = requested or os.environ.get("PEPPERSCENE_VARIANT") or None
-    if requested is not None and requested not in VARIANTS:
+    requested = requested or requested_variant()
+    if requested not in VARIANTS:
         raise SetupError(f"variant {requested!r} is not supported; allowed are {', '.join(VARIANTS)}")
     library, problems = _search_llvm()
     if library is not None:
         os.environ[LLVM_VARIABLE] = str(library)
-    for variant in (requested,) if requested else VARIANTS:
-        if _can_run(variant, library):
-            return variant
+    if _can_run(requested, library):
+        return requested
     if requested == "cuda_ad_spectral":
         raise SetupError("no usable renderer: cuda_ad_spectral needs a CUDA GPU with its driver")
     if library is not None:
@@ -150,9 +153,15 @@ def choose_variant(requested: str | None = None) -> str:
     if problems:
         raise SetupError(f"no usable renderer: {'; '.join(problems)}")
     raise SetupError(
-        f"no usable renderer: llvm_ad_spectral needs LLVM {OLDEST_LLVM} or newer; on Linux x86-64 run "
-        f"`pip install {_LLVM_PACKAGE}`, elsewhere install LLVM and set {LLVM_VARIABLE} to its shared library"
+        f"no usable renderer: llvm_ad_spectral needs LLVM {OLDEST_LLVM} or newer; on Linux x86-64 "
+        f"run `pip install {_LLVM_PACKAGE}`, elsewhere install LLVM and set {LLVM_VARIABLE} to its library, "
+        f"or use an NVIDIA GPU with {VARIANT_VARIABLE}=cuda_ad_spectral"
     )
+
+
+def requested_variant() -> str:
+    """The variant that `PEPPERSCENE_VARIANT` names, else the first of `VARIANTS`; neither is checked."""
+    return os.environ.get(VARIANT_VARIABLE) or VARIANTS[0]
 
 
 @functools.cache
@@ -163,7 +172,7 @@ def mitsuba_modules() -> tuple[Any, Any]:
     that the system names first.
 
     Raises:
-        SetupError: no JIT variant runs on this machine.
+        SetupError: the variant does not run on this machine.
     """
     variant = choose_variant()
     import drjit

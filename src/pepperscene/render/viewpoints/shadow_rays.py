@@ -117,6 +117,11 @@ class PointTracer:
         occluder = dr.gather(mi.UInt32, self._face_instance, hit.prim_index, hidden)
         by_other = hidden & (occluder != dr.gather(mi.UInt32, self._owner, point_row, hidden))
 
+        # A kernel of OptiX traces rays in one scene only.
+        if dr.backend_v(mi.Float) == dr.JitBackend.CUDA:
+            dr.eval(point_row, candidate, facing, hidden, occluder, by_other, distance, direction, clearance)
+            dr.eval(cosine, z, pixels)
+
         # Of points that another organ hides, whether their own organ hides them as well.
         reach = dr.minimum(distance, dr.gather(mi.Float, self._reach, point_row, by_other))
         start = dr.gather(mi.Point3f, self._isolated_points, point_row, by_other) - direction * reach
