@@ -155,6 +155,12 @@ SetOption = Annotated[
         metavar="KEY=VALUE", help="Change one value of the recipe (camera.flash=none); can be repeated."
     ),
 ]
+CodeOption = Annotated[
+    bool,
+    typer.Option(
+        "--allow-code", help='Allow the code of the recipe to run, which views of the kind "function" need.'
+    ),
+]
 LabelsOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Meaning of the masks of a folder of images.")
 ]

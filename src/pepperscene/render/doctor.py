@@ -178,7 +178,7 @@ class _ChildResult:
 def _run_child(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
     """Run Python code in a child process to its end or to the time limit."""
     try:
-        child = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=time_limit_s)
+        child = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, timeout=time_limit_s)
     except OSError as error:
         return _ChildResult(None, {}, f"could not run, because of: {error.strerror or error}")
     except subprocess.TimeoutExpired as error:

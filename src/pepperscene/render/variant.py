@@ -97,7 +97,7 @@ def llvm_version(path: Path) -> int | None:
     match = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path.resolve().name)
     if match:
         return int(match.group(1))
-    command = [sys.executable, "-c", _PRINT_LLVM_VERSION, str(path)]
+    command = [sys.executable, "-P", "-c", _PRINT_LLVM_VERSION, str(path)]
     try:
         process = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=_TIME_LIMIT_S
