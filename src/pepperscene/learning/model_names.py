@@ -48,7 +48,7 @@ def model_defaults(model: str) -> ModelDefaults:
 
 
 def is_built_in(model: str) -> bool:
-    """Whether a text as for `build_model` names a model of this package, so that no other code is imported."""
+    """Whether a text as for `build_model` names a model of this package."""
     return _name(model) in MODELS
 
 

@@ -1,4 +1,4 @@
-"""Functions and classes of the user's, by the name of their module; nothing else imports what a user names."""
+"""Functions and classes of the user's, by the name of their module: the only import by such a name."""
 
 from __future__ import annotations
 

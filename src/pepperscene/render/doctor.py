@@ -26,6 +26,7 @@ from pepperscene.render.variant import (
     LlvmExaminationError,
     choose_variant,
     find_llvm,
+    import_mitsuba,
     llvm_problems,
     llvm_version,
 )
@@ -121,10 +122,9 @@ def _print_result(**result: object) -> None:
 
 def _furnace_ratio(variant: str) -> float:
     """Radiance of a sphere of `_REFLECTANCE` over that of the uniform sky around it."""
-    import mitsuba as mi
     import numpy as np
 
-    mi.set_variant(variant)
+    mi = import_mitsuba(variant)
     scene = mi.load_dict(
         {
             "type": "scene",

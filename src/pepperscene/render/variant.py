@@ -167,14 +167,27 @@ def mitsuba_modules() -> tuple[Any, Any]:
     """
     variant = choose_variant()
     import drjit
-    import mitsuba
 
-    mitsuba.set_variant(variant)
+    mitsuba = import_mitsuba(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     threads = wanted_threads()
     if threads is not None:
         drjit.set_thread_count(threads)
     return mitsuba, drjit
+
+
+def import_mitsuba(variant: str) -> Any:
+    """Import Mitsuba with a variant; it loads plugins from its own folder alone.
+
+    By default it looks for `plugins/*.so` in the current folder first, and would run what it finds there.
+    """
+    import mitsuba
+
+    resolver = mitsuba.file_resolver()
+    resolver.clear()
+    resolver.append(str(Path(mitsuba.__file__).parent))
+    mitsuba.set_variant(variant)
+    return mitsuba
 
 
 def wanted_threads() -> int | None:

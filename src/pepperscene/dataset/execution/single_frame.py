@@ -42,7 +42,8 @@ def render_frame(
         out: the folder; made if missing. Other files in it are left alone.
         index: of the frame; None for the first that the recipe selects.
         outputs: names from `OUTPUTS`.
-        options: quality, target error, seed, renderer and `allow_code`; the others are for builds and must be None.
+        options: quality, target error, seed, renderer and `allow_code`; the others are for builds and must be
+            None.
         on_stage: called with the name of each stage when it begins.
 
     Returns:

@@ -83,9 +83,7 @@ def _built_in_factory(name: str) -> Callable[..., nn.Module]:
     return DeepLab
 
 
-def _parse_options(
-    model: str, options: list[str], name: str, factory: Callable[..., Any]
-) -> dict[str, Any]:
+def _parse_options(model: str, options: list[str], name: str, factory: Callable[..., Any]) -> dict[str, Any]:
     """Options as keyword arguments: numbers where they look like numbers, else text."""
     values: dict[str, Any] = {}
     for option in options:

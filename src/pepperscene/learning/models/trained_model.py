@@ -108,9 +108,7 @@ def apply_model(module: nn.Module, images: torch.Tensor) -> torch.Tensor:
     return logits
 
 
-def load_model(
-    path: str | Path, *, factory: str | None = None, allow_code: bool = False
-) -> TrainedModel:
+def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool = False) -> TrainedModel:
     """Read a model that `train` wrote.
 
     A file can only name a model of this package. The factory of another one is given again, by the caller.
