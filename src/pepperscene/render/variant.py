@@ -183,11 +183,13 @@ def import_mitsuba(variant: str) -> Any:
     """
     import mitsuba
 
-    resolver = mitsuba.file_resolver()
+    # Its attributes are loaded on first use, so they have no types.
+    loaded: Any = mitsuba
+    resolver = loaded.file_resolver()
     resolver.clear()
-    resolver.append(str(Path(mitsuba.__file__).parent))
-    mitsuba.set_variant(variant)
-    return mitsuba
+    resolver.append(str(Path(loaded.__file__).parent))
+    loaded.set_variant(variant)
+    return loaded
 
 
 def wanted_threads() -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,9 +79,8 @@ def train(
 
     chosen, folder = options or TrainingOptions(), Path(out)
     sets, validation = _as_tuple(sets), _as_tuple(validation)
-    origin = start
-    if isinstance(start, str | Path):
-        origin = load_model(start, factory=_own_factory(chosen.model), allow_code=allow_code)
+    load = partial(load_model, factory=_own_factory(chosen.model), allow_code=allow_code)
+    origin = load(start) if isinstance(start, str | Path) else start
     if origin is not None:
         # The defaults are those of the model that is adapted.
         chosen = replace(chosen, model=origin.model, classes=chosen.classes or str(origin.classes))
@@ -99,7 +99,7 @@ def train(
             training.run(folder, validation, workers, on_progress)
         except OSError as error:
             raise write_error(error, folder) from None
-    return load_model(folder, factory=_own_factory(chosen.model), allow_code=allow_code)
+    return load(folder)
 
 
 def _own_factory(model: str) -> str | None:
