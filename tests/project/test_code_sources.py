@@ -24,6 +24,18 @@ RUNS_NAMES = {
 }  # fmt: skip
 """Functions that run the code which a text names or holds."""
 
+WORDS = (
+    *RUNS_NAMES,
+    "import_callable",
+    "pickle",
+    ".load(",
+    "os.",
+    "shell",
+    "sys.executable",
+    "sys.path",
+    "yaml.",
+)
+
 NAMED_IMPORTS = {
     ("learning/user_callable.py", "import_module"): "a name that the user typed, and only if code is allowed",
     ("dataset/views/user_function.py", "run_path"): "the file of a recipe, after `ResolvedRecipe.check_code`",
@@ -64,7 +76,9 @@ def called_name(call: ast.Call) -> str:
 
 @cache
 def nodes(path: Path) -> tuple[ast.AST, ...]:
-    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    """The syntax of a file, or nothing if it holds none of the words that the tests look for."""
+    text = path.read_text(encoding="utf-8")
+    return tuple(ast.walk(ast.parse(text))) if any(word in text for word in WORDS) else ()
 
 
 def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
@@ -90,6 +104,14 @@ def test_code_is_imported_by_constant_names_only():
         if name in RUNS_NAMES and not (call.args and isinstance(call.args[0], ast.Constant))
     }
     assert found == set(NAMED_IMPORTS)
+
+
+def test_names_of_the_user_are_imported_only_with_a_permission_that_is_passed_on():
+    for path in SOURCES:
+        for name, call in calls(path):
+            if name == "import_callable":
+                permission = {keyword.arg: keyword.value for keyword in call.keywords}["allow_code"]
+                assert not isinstance(permission, ast.Constant), name_of(path)
 
 
 def test_child_interpreters_do_not_search_the_current_folder():
