@@ -41,14 +41,14 @@ print((len(times) - 1) / (times[-1] - times[0]))
 def run(command: list[str], variant: str) -> subprocess.CompletedProcess[str]:
     """Run Python with a variant of Mitsuba; the output of programs is printed as it comes."""
     environment = {**os.environ, "PEPPERSCENE_VARIANT": variant}
-    return subprocess.run([sys.executable, *command], env=environment, text=True, check=False)
+    return subprocess.run([sys.executable, "-P", *command], env=environment, text=True, check=False)
 
 
 def build_rate(variant: str, frames: int) -> float:
     """Frames per second of a build in one process."""
     with tempfile.TemporaryDirectory() as folder:
         completed = subprocess.run(
-            [sys.executable, "-c", BUILD_RATE, str(Path(folder) / "set"), str(frames)],
+            [sys.executable, "-P", "-c", BUILD_RATE, str(Path(folder) / "set"), str(frames)],
             env={**os.environ, "PEPPERSCENE_VARIANT": variant},
             capture_output=True,
             text=True,

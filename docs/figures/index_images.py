@@ -659,7 +659,7 @@ def benchmark() -> Image.Image:
 
 def command_line() -> Image.Image:
     """The commands out of `pepperscene --help`."""
-    command = [sys.executable, "-m", "pepperscene", "--help"]
+    command = [sys.executable, "-P", "-m", "pepperscene", "--help"]
     done = subprocess.run(
         command, capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "80"}
     )
@@ -681,7 +681,7 @@ def own_crop() -> Image.Image:
 def troubleshooting() -> Image.Image:
     """What `pepperscene doctor` finds."""
     done = subprocess.run(
-        [sys.executable, "-m", "pepperscene", "doctor"], capture_output=True, text=True, check=True
+        [sys.executable, "-P", "-m", "pepperscene", "doctor"], capture_output=True, text=True, check=True
     )
     lines = [("$ pepperscene doctor", "#7fd07f")]
     for line in done.stdout.rstrip().splitlines():

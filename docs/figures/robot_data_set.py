@@ -63,7 +63,7 @@ def run_page() -> None:
         else:
             for line in content.splitlines():
                 _, *words = shlex.split(line)
-                subprocess.run([sys.executable, "-m", "pepperscene", *words], check=True)
+                subprocess.run([sys.executable, "-P", "-m", "pepperscene", *words], check=True)
         sys.stderr.write(f"{processor_s() - start:.1f} s: {content.partition(chr(10))[0]}\n")
 
 

@@ -100,5 +100,16 @@ def _end_at_signals() -> None:
     atexit.register(ignore)
 
 
+def _leave_current_folder() -> None:
+    """Take the current folder, which `python -m` searches first, off the search path of modules.
+
+    It stays if it is the folder that holds this package.
+    """
+    folder = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if not sys.flags.safe_path and os.path.abspath(sys.path[0]) != folder:
+        del sys.path[0]
+
+
 if __name__ == "__main__":
+    _leave_current_folder()
     main()

@@ -11,6 +11,9 @@ from typing import Final
 
 EXIT_BAD_INPUT: Final = 2
 
+NEEDS_PERMISSION: Final = "runs only with --allow-code (in Python, allow_code=True)"
+"""End of the sentence about code of the user's that a command would run."""
+
 
 class PepperError(Exception):
     """Base class of all errors that users can fix; never raised itself."""

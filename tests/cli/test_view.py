@@ -57,8 +57,8 @@ def test_rerun_gets_the_recordings_of_the_frames(folder, monkeypatch, command):
 
     monkeypatch.setattr(viewer.subprocess, "run", run)
     assert command("view", folder, "--frames", "0:2").exit_code == 0
-    ((program, flag, module, file),) = calls
-    assert (program, flag, module) == (sys.executable, "-m", "rerun")
+    ((*program, file),) = calls
+    assert program == [sys.executable, "-P", "-m", "rerun"]
     # The temporary recording is removed when the viewer is closed.
     assert not Path(file).exists()
     monkeypatch.setattr(viewer.subprocess, "run", lambda *_args, **_kwargs: SimpleNamespace(returncode=3))

@@ -258,7 +258,7 @@ RIG = (
 
 
 def rig_views(recipe):
-    return CameraViews(FrameSetups(resolve_recipe(recipe)), lambda setup: Greenhouse())
+    return CameraViews(FrameSetups(resolve_recipe(recipe, allow_code=True)), lambda setup: Greenhouse())
 
 
 def test_a_camera_of_the_rig_has_the_place_and_axes_that_scipy_gives(load):

@@ -249,7 +249,7 @@ def with_function(tmp_path, fake_renderer):
         (tmp_path / "views.py").write_text(text)
         path = tmp_path / "mine.toml"
         path.write_text(f"extends = 'barth2018'\n{PLAN}{ROW}[views]\nkind = 'function'\nfile = 'views.py'\n")
-        return FrameRenderer(path, fake_renderer)
+        return FrameRenderer(path, fake_renderer, allow_code=True)
 
     return make
 

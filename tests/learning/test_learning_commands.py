@@ -25,7 +25,7 @@ def command(monkeypatch):
     """Function that runs a command line; `load_model` gives a model that reads its file's name only."""
     models = ModuleType("pepperscene.learning.models")
 
-    def load_model(path):
+    def load_model(path, **_):
         if path.name != "model":
             raise InputError(path, "is not a trained model")
         return ReadsRed()

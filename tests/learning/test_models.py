@@ -89,7 +89,7 @@ def images_of(height, width, count=1, seed=0):
 
 def trained(model="small,width=0.3", classes=FRUIT, width=None):
     torch.manual_seed(5)
-    module = build_model(model, len(classes))
+    module = build_model(model, len(classes), allow_code=True)
     # Statistics of batches, as after a training.
     module.train()(images_of(40, 56, 3))
     return TrainedModel(module, model, classes, width, {"note": "of a test"})
@@ -250,9 +250,7 @@ def test_options_in_the_text_of_a_model():
     assert widths == [8, 24, 48]
     assert build_model(f"{NARROW},field=224", 4).head[1].dilation == (12, 12)
     assert model_defaults("small,width=0.5") is MODELS["small"]
-    assert (model_defaults("own_nets:half").batch, model_defaults("own_nets:half").factory) == (
-        8, "own_nets:half",
-    )  # fmt: skip
+    assert model_defaults("own_nets:half").batch == 8
     assert without_initial_weights("deeplab_vgg16, weights=a.safetensors,field=224") == (
         "deeplab_vgg16,field=224"
     )
@@ -261,10 +259,10 @@ def test_options_in_the_text_of_a_model():
 
 def test_models_of_the_user_from_a_file_in_the_current_folder(own_nets):
     image = images_of(21, 30, 2)
-    half = build_model("own_nets:half,channels=5", 3)
+    half = build_model("own_nets:half,channels=5", 3, allow_code=True)
     assert half(image).shape == (2, 3, 11, 15)
     assert apply_model(half, image).shape == (2, 3, 21, 30)
-    as_dict = build_model("own_nets:AsDict", 3)
+    as_dict = build_model("own_nets:AsDict", 3, allow_code=True)
     assert torch.equal(apply_model(as_dict, image), as_dict.layer(image))
 
 
@@ -299,7 +297,7 @@ def test_models_of_the_user_from_a_file_in_the_current_folder(own_nets):
 def test_rejects_wrong_models_in_one_sentence(own_nets, model, message):
     sets = write_bands(own_nets / "set", 2)
     options = ["--out", "out", "--steps", "1", "--batch", "1", "--size", "32x32"]
-    result = CliRunner().invoke(app, ["train", str(sets), "--model", model, *options])
+    result = CliRunner().invoke(app, ["train", str(sets), "--model", model, "--allow-code", *options])
     assert result.exit_code == EXIT_BAD_INPUT, result.output
     assert result.stderr.startswith("error: --model: ")
     assert result.stderr.count("\n") == 1
@@ -374,7 +372,8 @@ def test_weights_that_share_memory_are_saved(own_nets):
     model = trained("own_nets:Tied")
     model.save(own_nets / "model.safetensors")
     colour = np.random.default_rng(0).integers(0, 256, (6, 5, 3)).astype(np.uint8)
-    np.testing.assert_array_equal(load_model(own_nets).probabilities(colour), model.probabilities(colour))
+    again = load_model(own_nets, factory="own_nets:Tied", allow_code=True)
+    np.testing.assert_array_equal(again.probabilities(colour), model.probabilities(colour))
 
 
 def _described(**changes):
@@ -410,7 +409,7 @@ def _described(**changes):
         (lambda whole: _described(classes=...), "lacks the description of its model"),
         (lambda whole: _described(model=3), "lacks the description of its model"),
         (lambda whole: _described(classes="apple,leaf"), "classes: 'apple' is none of"),
-        (lambda whole: _described(model="other_nets:half"), "model: other_nets cannot be imported"),
+        (lambda whole: _described(model="other_nets:half"), "model = 'other_nets:half': is none of small, "),
         (lambda whole: _described(classes="leaf,stem"), "holds weights of another model"),
         (lambda whole: _described(model="small"), "holds weights of another model"),
         (lambda whole: _described(model=NARROW), "holds weights of another model"),

@@ -194,10 +194,14 @@ def test_a_function_of_the_user_is_scored(folder, tmp_path, monkeypatch):
         "import numpy as np\n\n\ndef fill(colour, sensor):\n    return np.nan_to_num(sensor, nan=0.5)\n"
         "\n\ndef fails(colour, sensor):\n    return sensor\n"
     )
-    done = CliRunner().invoke(app, ["task", "depth_completion", str(folder), "--method", "own_depth:fill"])
+    done = CliRunner().invoke(
+        app, ["task", "depth_completion", str(folder), "--method", "own_depth:fill", "--allow-code"]
+    )
     assert done.exit_code == 0, done.output
     assert "own_depth:fill" in done.stdout
-    done = CliRunner().invoke(app, ["task", "depth_completion", str(folder), "--method", "own_depth:fails"])
+    done = CliRunner().invoke(
+        app, ["task", "depth_completion", str(folder), "--method", "own_depth:fails", "--allow-code"]
+    )
     assert done.exit_code == EXIT_BAD_INPUT
     assert done.stderr.strip() == (
         "error: own_depth:fails: must return a finite depth above 0 for each pixel that counts"

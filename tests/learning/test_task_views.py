@@ -178,7 +178,8 @@ def test_the_command_scores_a_function_of_the_user(tmp_path, monkeypatch):
         "plan={sets=1, rotations=1, frames=2}", "camera.width=120", "camera.height=90",
     ]  # fmt: skip
     arguments = [
-        "task", "next_best_view", "barth2018", "--method", "own_planner:farthest", "--baseline", "arc",
+        "task", "next_best_view", "barth2018", "--method", "own_planner:farthest", "--allow-code",
+        "--baseline", "arc",
         "--views", "3", "--candidates", "8", "--box", "-400,400,-700,-300,500,1600",
     ]  # fmt: skip
     for change in changes:

@@ -223,7 +223,7 @@ def measure_variant(
         "limit_s": None if math.isinf(limit_s) else limit_s,
     }
     completed = subprocess.run(
-        [sys.executable, "-m", "pepperscene.bench.measure", json.dumps(task)],
+        [sys.executable, "-P", "-m", "pepperscene.bench.measure", json.dumps(task)],
         env={**os.environ, "PEPPERSCENE_VARIANT": variant},
         capture_output=True,
         text=True,

@@ -76,7 +76,7 @@ def profile_frames(
         ]
     on_progress("start-up")
     start_up = {
-        what: [time_command([sys.executable, *arguments]) for _ in range(runs)]
+        what: [time_command([sys.executable, "-P", *arguments]) for _ in range(runs)]
         for what, arguments in _START_UP.items()
     }
     chapters += ["#### Start-up", time_table(start_up.items())]

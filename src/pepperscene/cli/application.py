@@ -15,7 +15,7 @@ import typer
 from pepperscene.cli.interrupts import Interrupted, interruptible
 from pepperscene.cli.progress import echo_progress
 from pepperscene.cli.streams import protect_streams
-from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, OutputError, PepperError
+from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError, OutputError, PepperError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
@@ -61,6 +61,10 @@ _OPTIONS: Final = {
 }
 """Names of options that differ from the argument that they set."""
 
+_CONFIGURATIONS: Final = {"matplotlibrc": "Matplotlib", ".numba_config.yaml": "Numba"}
+"""Files that libraries read in the current folder. They can name programs that charts start (TeX), and a
+folder of compiled code that is loaded."""
+
 
 def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
     """Wrap a command so that foreseeable errors and signals give one line on standard error, no traceback."""
@@ -98,11 +102,15 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
 
 
 def _check_current_folder() -> None:
-    """Raise `OutputError` if the current folder was removed: Mitsuba would end the process."""
+    """Raise an error if the current folder was removed, which ends Mitsuba, or configures a library."""
     try:
         os.getcwd()
     except OSError:
         raise OutputError("the current folder does not exist any more; change to another folder") from None
+    for name, library in _CONFIGURATIONS.items():
+        if os.path.lexists(name):
+            problem = f"is in the current folder, where {library} reads settings that can run programs"
+            raise InputError(name, f"{problem}; remove it, or change to another folder")
 
 
 def _is_out_of_memory(error: BaseException) -> bool:
@@ -153,6 +161,12 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="KEY=VALUE", help="Change one value of the recipe (camera.flash=none); can be repeated."
+    ),
+]
+CodeOption = Annotated[
+    bool,
+    typer.Option(
+        "--allow-code", help='Allow the code of the recipe to run, which views of the kind "function" need.'
     ),
 ]
 LabelsOption = Annotated[

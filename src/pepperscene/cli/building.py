@@ -9,6 +9,7 @@ import typer
 
 from pepperscene.cli.application import (
     DEFAULTS,
+    CodeOption,
     OutputsOption,
     QualityOption,
     RecipeArgument,
@@ -37,6 +38,7 @@ def build(
     target_error: TargetOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
+    allow_code: CodeOption = False,
     workers: Annotated[
         int | None,
         typer.Option(metavar="N", help="Processes on this machine, which share its cores. Default: one."),
@@ -66,9 +68,10 @@ def build(
 
     if dry_run:
         options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
-        describe_build(select_frames(recipe, set, frames), names, options, json=json)
+        selected = select_frames(recipe, set, frames, allow_code=allow_code)
+        describe_build(selected, names, options, json=json)
         return
-    resolved = resolve_recipe(recipe, parse_changes(set or ()))
+    resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=allow_code)
     try:
         with progress_reporter(json) as reporter:
 
@@ -110,13 +113,14 @@ def render(
     target_error: TargetOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
+    allow_code: CodeOption = False,
 ) -> None:
     """Render one frame of a recipe, to preview it or to try a setting."""
     names = parse_outputs(outputs)
     from pepperscene.cli.progress import render_status
     from pepperscene.dataset import BuildOptions, parse_changes, render_frame, resolve_recipe
 
-    resolved = resolve_recipe(recipe, parse_changes(set or ()))
+    resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=allow_code)
     options = BuildOptions(quality=quality, target_error=target_error, seed=seed)
     with render_status() as on_stage:
         paths = render_frame(resolved, out, frame, names, options, on_stage)

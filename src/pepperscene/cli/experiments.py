@@ -44,6 +44,10 @@ def experiments(
     model: Annotated[
         str, typer.Option(metavar="NAME", help="Model of the networks, as for `train`.")
     ] = DEFAULT_MODEL,
+    allow_code: Annotated[
+        bool,
+        typer.Option("--allow-code", help="Allow the code of recipes and of --model module:factory to run."),
+    ] = False,
     steps: Annotated[
         int | None, typer.Option(metavar="N", help="Steps on synthetic images. Default: the model's.")
     ] = None,
@@ -103,6 +107,7 @@ def experiments(
             labels=labels,
             workers=workers,
             device=device,
+            allow_code=allow_code,
             on_message=_message_printer(),
         )
     except KeyboardInterrupt as error:

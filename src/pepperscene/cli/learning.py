@@ -20,7 +20,7 @@ from pepperscene.cli.application import (
 )
 from pepperscene.cli.progress import image_progress
 from pepperscene.cli.training_progress import training_progress
-from pepperscene.errors import InputError, SetupError
+from pepperscene.errors import ArgumentError, InputError, SetupError
 
 if TYPE_CHECKING:
     from pepperscene.learning.class_table import ClassTable
@@ -29,6 +29,14 @@ if TYPE_CHECKING:
 DEFAULT_MODEL = "small"
 
 ModelArgument = Annotated[Path, typer.Argument(metavar="MODEL", help="File of a trained model.")]
+FactoryOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MODULE:NAME",
+        help="Function that makes the model's network, with options, if it was trained with one.",
+    ),
+]
+FactoryCodeOption = Annotated[bool, typer.Option("--allow-code", help="Allow the code of --factory to run.")]
 ClassesOption = Annotated[
     str | None,
     typer.Option(
@@ -57,6 +65,9 @@ def train(
             "Default: small.",
         ),
     ] = None,
+    allow_code: Annotated[
+        bool, typer.Option("--allow-code", help="Allow the code of --model module:factory to run.")
+    ] = False,
     start: Annotated[
         Path | None, typer.Option(metavar="MODEL", help="Trained model whose weights are adapted.")
     ] = None,
@@ -104,10 +115,11 @@ def train(
 ) -> None:
     """Train a network to separate the classes of labelled images."""
     from pepperscene.dataset.readers.several import open_image_sets
+    from pepperscene.learning.model_names import is_built_in
     from pepperscene.learning.training_options import TrainingOptions
 
     # Find errors in the arguments before torch is imported, which takes seconds.
-    if model is not None and start is not None:
+    if model is not None and start is not None and is_built_in(model):
         raise InputError("--model", "cannot be combined with --start, which has a model")
     scaled_to = TrainingOptions().width if width is None else width or None
     options = TrainingOptions(
@@ -120,7 +132,7 @@ def train(
     from pepperscene.learning.models.trained_model import load_model
     from pepperscene.learning.training.run import train as train_model
 
-    origin = None if start is None else load_model(start)
+    origin = None if start is None else load_model(start, factory=model, allow_code=allow_code)
     if origin is not None and width is None:
         options = replace(options, width=origin.width)
     try:
@@ -134,6 +146,7 @@ def train(
                 resume=resume,
                 workers=workers,
                 device=device,
+                allow_code=allow_code,
                 on_progress=on_progress,
             )
     except KeyboardInterrupt as error:
@@ -151,6 +164,8 @@ def evaluate(
     sets: Annotated[
         list[Path], typer.Argument(metavar="SET...", help="Folders of labelled images, in any layout.")
     ],
+    factory: FactoryOption = None,
+    allow_code: FactoryCodeOption = False,
     classes: ClassesOption = None,
     labels: LabelsOption = None,
     half: HalfOption = None,
@@ -172,7 +187,7 @@ def evaluate(
     images = open_image_sets(sets, labels=labels, half=half)
     if out is not None:
         _check_output(out)
-    network = _load_model(model)
+    network = _load_model(model, factory, allow_code)
 
     with image_progress("evaluated") as on_progress:
         result = evaluate_model(network, images, classes=table, limit=limit, on_progress=on_progress)
@@ -197,6 +212,8 @@ def predict(
         list[Path], typer.Argument(metavar="IMAGES...", help="Pictures, or folders of images in any layout.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder for the class images.")],
+    factory: FactoryOption = None,
+    allow_code: FactoryCodeOption = False,
     classes: ClassesOption = None,
     half: HalfOption = None,
 ) -> None:
@@ -204,7 +221,7 @@ def predict(
     from pepperscene.learning.evaluation.predict import predict as predict_images
 
     table = _parse_classes(classes)
-    network = _load_model(model)
+    network = _load_model(model, factory, allow_code)
     with image_progress("predicted") as on_progress:
         result = predict_images(network, images, out, classes=table, half=half, on_progress=on_progress)
     count = len(result.names)
@@ -225,12 +242,17 @@ def _parse_classes(text: str | None) -> ClassTable | None:
     return None if text is None else ClassTable.parse(text)
 
 
-def _load_model(path: Path) -> Segmenter:
-    """Load a trained model."""
+def _load_model(path: Path, factory: str | None, allow_code: bool) -> Segmenter:
+    """Load a trained model; a factory makes its network."""
     require_torch()
     from pepperscene.learning.models import load_model
 
-    return load_model(path)
+    try:
+        return load_model(path, factory=factory, allow_code=allow_code)
+    except ArgumentError as error:
+        # The text of a model is the option --model elsewhere.
+        where = "factory" if error.where == "model" else error.where
+        raise ArgumentError(where, error.problem, key=error.key, value=error.value) from None
 
 
 def require_torch() -> None:

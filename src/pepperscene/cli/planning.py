@@ -11,6 +11,7 @@ import typer
 
 from pepperscene.cli.application import (
     DEFAULTS,
+    CodeOption,
     JsonOption,
     OutputsOption,
     QualityOption,
@@ -51,6 +52,7 @@ def plan(
     quality: QualityOption = "standard",
     seed: SeedOption = None,
     set: SetOption = None,
+    allow_code: CodeOption = False,
     workers: Annotated[
         int | None,
         typer.Option(metavar="N", help="Processes of the build that is estimated. Default: one."),
@@ -62,19 +64,22 @@ def plan(
     from pepperscene.dataset import BuildOptions
 
     options = BuildOptions(quality=quality, seed=seed, workers=workers)
-    describe_build(select_frames(recipe, set), names, options, json=json, probe=probe, out=out, poses=poses)
+    selected = select_frames(recipe, set, allow_code=allow_code)
+    describe_build(selected, names, options, json=json, probe=probe, out=out, poses=poses)
 
 
-def select_frames(recipe: str, changes: list[str] | None, frames: str | None = None) -> ResolvedRecipe:
+def select_frames(
+    recipe: str, changes: list[str] | None, frames: str | None = None, *, allow_code: bool = False
+) -> ResolvedRecipe:
     """A recipe with changes as for `--set`, which selects frames "A:B", or those of the recipe."""
     from pepperscene.dataset import parse_changes, resolve_recipe
 
     values = parse_changes(changes or ())
-    resolved = resolve_recipe(recipe, values)
+    resolved = resolve_recipe(recipe, values, allow_code=allow_code)
     if frames is None:
         return resolved
     selected = list(resolved.recipe.plan.select_indices(frames))
-    return resolve_recipe(recipe, {**values, "plan.select": selected})
+    return resolve_recipe(recipe, {**values, "plan.select": selected}, allow_code=allow_code)
 
 
 def describe_build(

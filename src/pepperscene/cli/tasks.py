@@ -38,11 +38,12 @@ class _Request:
     candidates: int | None
     box: str | None
     changes: tuple[str, ...]
+    allow_code: bool
 
     def check(self, *allowed: str) -> None:
         """Raise `ArgumentError` if an option is given that the task does not have."""
         for name, value in vars(self).items():
-            if name not in ("source", "baselines", *allowed) and value not in (None, ()):
+            if name not in ("source", "baselines", "allow_code", *allowed) and value not in (None, ()):
                 option = {"changes": "set"}.get(name, name.removesuffix("s") if name == "methods" else name)
                 raise ArgumentError(option, "does not apply to this task")
 
@@ -66,7 +67,7 @@ class _Request:
             module, _, name = text.partition(":")
             if not module or not name:
                 raise ArgumentError("method", f"must be module:function, not {text!r}")
-        return {text: import_callable(text, "method") for text in self.methods}
+        return {text: import_callable(text, "method", allow_code=self.allow_code) for text in self.methods}
 
 
 @app.command()
@@ -96,6 +97,9 @@ def task(
             metavar="MODULE:NAME", help="Python function to score: of depth or of views; repeatable."
         ),
     ] = None,
+    allow_code: Annotated[
+        bool, typer.Option("--allow-code", help="Allow the code of --method to run.")
+    ] = False,
     split: Annotated[
         str | None,
         typer.Option(metavar="TEXT", help="Splits, as for `export`. Default: train=.8,test=.2."),
@@ -131,7 +135,7 @@ def task(
         raise InputError("task", f"must be one of {', '.join(_TASKS)}, not {name!r}")
     request = _Request(
         source, tuple(baseline or ()), tuple(predictions or ()), tuple(method or ()), split, out, steps, twin,
-        views, candidates, box, tuple(set or ()),
+        views, candidates, box, tuple(set or ()), allow_code,
     )  # fmt: skip
     result = _TASKS[name](request)
     if json:

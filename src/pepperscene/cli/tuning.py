@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from pepperscene.cli.application import (
+    CodeOption,
     HalfOption,
     JsonOption,
     LabelsOption,
@@ -68,6 +69,7 @@ def tune(
     labels: LabelsOption = None,
     half: HalfOption = None,
     set: SetOption = None,
+    allow_code: CodeOption = False,
     json: JsonOption = False,
 ) -> None:
     """Fit a recipe to measured colours. Fits pigments, light and camera, and writes the tuned recipe."""
@@ -109,6 +111,7 @@ def tune(
                 quality=quality,
                 options=options,
                 extends=recipe,
+                allow_code=allow_code,
                 on_progress=on_progress,
             )
     except KeyboardInterrupt as error:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pepperscene.cli.application import RecipeArgument, SeedOption, SetOption, app, handle_errors
+from pepperscene.cli.application import CodeOption, RecipeArgument, SeedOption, SetOption, app, handle_errors
 from pepperscene.cli.progress import echo_progress, image_progress
 from pepperscene.errors import ArgumentError
 from pepperscene.truth.fruit_visibility import SAMPLES
@@ -64,6 +64,7 @@ def visibility(
     occluders: Annotated[bool, typer.Option(help="List what hides each fruit.")] = True,
     seed: SeedOption = None,
     set: SetOption = None,
+    allow_code: CodeOption = False,
 ) -> None:
     """Compute what cameras see of each fruit, what hides it, and the next best views, without images."""
     from pepperscene.dataset import parse_changes, resolve_recipe
@@ -84,7 +85,7 @@ def visibility(
     if clearance and options.workspace is None:
         raise ArgumentError("clearance", "needs a workspace: --box or --sphere")
     changes = parse_changes(set or ()) | ({} if seed is None else {"seed": seed})
-    resolved = resolve_recipe(recipe, changes)
+    resolved = resolve_recipe(recipe, changes, allow_code=allow_code)
     lines: list[str] = []
 
     def described(scene: SceneVisibility) -> SceneVisibility:

@@ -41,7 +41,7 @@ def view_in_rerun(folder: Path, frames: str | None = None, on_frame: OnFrame | N
         out = Path(temporary) / "recordings"
         export_dataset(folder, "rerun", out, frames=frames, on_frame=on_frame)
         files = [str(path) for path in sorted(out.rglob(RECORDING))]
-        return subprocess.run([sys.executable, "-m", "rerun", *files], check=False).returncode
+        return subprocess.run([sys.executable, "-P", "-m", "rerun", *files], check=False).returncode
 
 
 def view_in_browser(folder: Path) -> tuple[Path, bool]:

@@ -27,6 +27,7 @@ from pepperscene.render.variant import (
     LlvmExaminationError,
     choose_variant,
     find_llvm,
+    import_mitsuba,
     llvm_problems,
     llvm_version,
 )
@@ -122,10 +123,9 @@ def _print_result(**result: object) -> None:
 
 def _furnace_ratio(variant: str) -> float:
     """Radiance of a sphere of `_REFLECTANCE` over that of the uniform sky around it."""
-    import mitsuba as mi
     import numpy as np
 
-    mi.set_variant(variant)
+    mi = import_mitsuba(variant)
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -179,7 +179,7 @@ class _ChildResult:
 def _run_child(code: str, time_limit_s: float = TIME_LIMIT_S) -> _ChildResult:
     """Run Python code in a child process to its end or to the time limit."""
     try:
-        child = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=time_limit_s)
+        child = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, timeout=time_limit_s)
     except OSError as error:
         return _ChildResult(None, {}, f"could not run, because of: {error.strerror or error}")
     except subprocess.TimeoutExpired as error:

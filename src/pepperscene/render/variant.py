@@ -101,7 +101,7 @@ def llvm_version(path: Path) -> int | None:
     match = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path.resolve().name)
     if match:
         return int(match.group(1))
-    command = [sys.executable, "-c", _PRINT_LLVM_VERSION, str(path)]
+    command = [sys.executable, "-P", "-c", _PRINT_LLVM_VERSION, str(path)]
     try:
         process = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=_TIME_LIMIT_S
@@ -176,14 +176,29 @@ def mitsuba_modules() -> tuple[Any, Any]:
     """
     variant = choose_variant()
     import drjit
-    import mitsuba
 
-    mitsuba.set_variant(variant)
+    mitsuba = import_mitsuba(variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     threads = wanted_threads()
     if threads is not None:
         drjit.set_thread_count(threads)
     return mitsuba, drjit
+
+
+def import_mitsuba(variant: str) -> Any:
+    """Import Mitsuba with a variant; it loads plugins from its own folder alone.
+
+    By default it looks for `plugins/*.so` in the current folder first, and would run what it finds there.
+    """
+    import mitsuba
+
+    # Its attributes are loaded on first use, so they have no types.
+    loaded: Any = mitsuba
+    resolver = loaded.file_resolver()
+    resolver.clear()
+    resolver.append(str(Path(loaded.__file__).parent))
+    loaded.set_variant(variant)
+    return loaded
 
 
 def wanted_threads() -> int | None:

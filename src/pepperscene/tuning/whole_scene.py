@@ -69,8 +69,13 @@ class Verification:
     rounds: int
 
 
-def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> SceneStatistics:
-    """Render a number of frames that are evenly distributed over the plan of a recipe."""
+def render_statistics(
+    recipe: Recipe, frames: int, quality: str = "draft", *, allow_code: bool = False
+) -> SceneStatistics:
+    """Render a number of frames that are evenly distributed over the plan of a recipe.
+
+    `allow_code` says whether the recipe's code may run.
+    """
     from pepperscene.colour import open_patches
     from pepperscene.dataset import BuildOptions, build
 
@@ -79,7 +84,7 @@ def render_statistics(recipe: Recipe, frames: int, quality: str = "draft") -> Sc
     # Midpoints of equal parts of the plan.
     indices = [(2 * k + 1) * total // (2 * count) for k in range(count)]
     with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
-        options = BuildOptions(quality)
+        options = BuildOptions(quality, allow_code=allow_code)
         dataset = build(recipe, Path(folder) / "frames", indices, OUTPUTS, options).dataset
         picture = dataset.image(indices[count // 2], "colour")
         return SceneStatistics(open_patches(dataset.folder), _mean_electrons(dataset, indices), picture)

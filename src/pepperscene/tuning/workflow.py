@@ -93,6 +93,7 @@ def tune(
     when: datetime.date | None = None,
     options: Mapping[str, Any] | None = None,
     extends: str | Path | None = None,
+    allow_code: bool = False,
     on_progress: Callable[[str], None] | None = None,
 ) -> TuningResult:
     """Fit parameters of a recipe to patches, and write the tuned recipe.
@@ -113,6 +114,7 @@ def tune(
         options: Options to record, serialisable as JSON.
         extends: The file that a `Recipe` object was read from, which the written recipe extends. For a name
             or a path it is that file.
+        allow_code: Whether the recipe's code may run, which frames of the whole scene can need.
         on_progress: Called with a line of text from time to time.
 
     Raises:
@@ -139,13 +141,14 @@ def tune(
         return TuningResult(fit, write(fit, out), None)
 
     # Measure the effect of neighbours in the whole scene, fit with it, and repeat with the tuned scene.
-    before = render_statistics(loaded, verify, quality)
+    before = render_statistics(loaded, verify, quality, allow_code=allow_code)
     neighbours = neighbour_effects(target, target.tuned_parts({}), before)
     for round_ in range(1, MAX_ROUNDS + 1):
         problem = target.problem(names, neighbours)
         fit = run_fit(problem, starts=starts if round_ == 1 else 1)
         with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
-            after = render_statistics(load_recipe(write(fit, folder)[0]), verify, quality)
+            tuned = load_recipe(write(fit, folder)[0])
+            after = render_statistics(tuned, verify, quality, allow_code=allow_code)
         difference = largest_difference(problem, fit.tuned_parts, after)
         if on_progress is not None:
             on_progress(f"round {round_}: whole scene and fit differ by up to {difference:.1f} CIELAB units")

@@ -139,6 +139,7 @@ def build(
     # Check all arguments before the first file is touched.
     executor = choose_executor(options)
     job = BuildJob.create(recipe, out, outputs, options)
+    job.recipe.check_code()
     indices = job.recipe.recipe.plan.select_indices(frames)
     executor.check_memory(job, len(indices))
     check_output_folder(Path(out), job.info)

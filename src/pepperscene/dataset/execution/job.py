@@ -48,6 +48,7 @@ class BuildOptions:
         on_notice: called with a sentence for the user, such as that a worker was lost.
         on_start: called once with the number of frames to build and that of the plan, after all arguments
             have been checked.
+        allow_code: whether the recipe's code may run: views of the kind "function".
     """
 
     quality: str = "standard"
@@ -59,6 +60,7 @@ class BuildOptions:
     renderer: RendererFactory | None = None
     on_notice: Callable[[str], None] | None = None
     on_start: Callable[[int, int], None] | None = None
+    allow_code: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ class BuildJob:
 
         names = check_outputs(outputs)
         resolve_quality(options.quality, options.target_error)
-        resolved = resolve_recipe(recipe, seed=options.seed)
+        resolved = resolve_recipe(recipe, seed=options.seed, allow_code=options.allow_code)
         check_further_cameras(resolved.recipe, names)
         sensor = resolved.camera.sensor
         check_band_outputs(names, sensor.name, has_bands=sensor.pattern == "bands")

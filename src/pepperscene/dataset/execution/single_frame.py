@@ -42,7 +42,8 @@ def render_frame(
         out: the folder; made if missing. Other files in it are left alone.
         index: of the frame; None for the first that the recipe selects.
         outputs: names from `OUTPUTS`.
-        options: quality, target error, seed and renderer; the others are for builds and must be None.
+        options: quality, target error, seed, renderer and `allow_code`; the others are for builds and must be
+            None.
         on_stage: called with the name of each stage when it begins.
 
     Returns:
@@ -60,6 +61,7 @@ def render_frame(
         if getattr(options, name) is not None:
             raise ArgumentError(name, "applies to builds, not to a single frame")
     job = BuildJob.create(recipe, out, outputs, options)
+    job.recipe.check_code()
     plan = job.recipe.recipe.plan
     spec = plan.frame(plan.select_indices(None if index is None else [index], "frame")[0])
     folder = Path(out)

@@ -73,6 +73,8 @@ def preview_plan(
     # Check all arguments before anything takes time.
     executor = choose_executor(options)
     job = BuildJob.create(recipe, Path(), outputs, options)
+    if probe:
+        job.recipe.check_code()
     name, indices = job.recipe.recipe.name, job.recipe.recipe.plan.select_indices(None)
     keeper = SceneKeeper(job.renderer)
     renderer = FrameRenderer(job.recipe, keeper)

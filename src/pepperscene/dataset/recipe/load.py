@@ -8,6 +8,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -65,6 +66,8 @@ def resolve_recipe(
     recipe: Recipe | ResolvedRecipe | str | Path,
     changes: Mapping[str, Any] | None = None,
     seed: int | None = None,
+    *,
+    allow_code: bool = False,
 ) -> ResolvedRecipe:
     """Load a recipe and the files that it names, with errors as of `load_recipe`.
 
@@ -72,12 +75,16 @@ def resolve_recipe(
         recipe: name of a shipped one, path, or a recipe. A resolved one is not loaded again.
         changes: as for `load_recipe`; only with a name or a path.
         seed: replaces the recipe's seed, unless None.
+        allow_code: whether the recipe's code may run later, when cameras are placed: views of the kind
+            "function". Nothing runs while a recipe is loaded. A resolved recipe that allows it keeps to that.
     """
     if isinstance(recipe, Recipe):
-        return _load_all(recipe.with_seed(seed), recipe.name)
-    if not isinstance(recipe, ResolvedRecipe):
-        recipe = _read_recipe(recipe, changes or {})
-    return recipe.with_seed(seed)
+        resolved = _load_all(recipe.with_seed(seed), recipe.name)
+    elif isinstance(recipe, ResolvedRecipe):
+        resolved = recipe.with_seed(seed)
+    else:
+        resolved = _read_recipe(recipe, changes or {}).with_seed(seed)
+    return replace(resolved, allow_code=True) if allow_code else resolved
 
 
 def _read_recipe(name_or_path: str | Path, changes: Mapping[str, Any]) -> ResolvedRecipe:

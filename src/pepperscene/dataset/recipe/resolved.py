@@ -14,7 +14,7 @@ from pepperscene.dataset.recipe.load_depth_camera import load_depth_camera
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import NONE, GrowthTable
 from pepperscene.dataset.recipe.views_tables import FunctionViews, RandomViews
-from pepperscene.errors import InputError
+from pepperscene.errors import NEEDS_PERMISSION, InputError
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera
@@ -32,6 +32,7 @@ class ResolvedRecipe:
         camera: with the recipe's settings, without a pose.
         cover: between the sky and the crop, or None.
         depth_camera: with the recipe's settings, without a pose; None if the recipe has none.
+        allow_code: whether the user has asked for the recipe's code to run. It is part of no file.
     """
 
     recipe: Recipe
@@ -39,6 +40,7 @@ class ResolvedRecipe:
     camera: Camera
     cover: Cover | None
     depth_camera: DepthCamera | None = None
+    allow_code: bool = False
 
     @cached_property
     def identity(self) -> Mapping[str, Any]:
@@ -48,6 +50,16 @@ class ResolvedRecipe:
     def with_seed(self, seed: int | None) -> ResolvedRecipe:
         """The same with another seed, or itself if that is None; see `Recipe.with_seed`."""
         return self if seed is None else replace(self, recipe=self.recipe.with_seed(seed))
+
+    def check_code(self) -> None:
+        """Raise `InputError` if the poses of the cameras need code of the recipe, and it may not run.
+
+        All code of a recipe runs after this check.
+        """
+        views = self.recipe.views
+        if isinstance(views, FunctionViews) and not self.allow_code:
+            problem = f"the code of {views.file} {NEEDS_PERMISSION}"
+            raise InputError(self.recipe.name, problem, key="views.kind", value=views.kind)
 
 
 def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> ResolvedRecipe:

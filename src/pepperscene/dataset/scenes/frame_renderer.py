@@ -104,6 +104,7 @@ class FrameRenderer:
         renderer: makes the renderer of a scene; None for Mitsuba.
         culled: see the attribute.
         on_stage: called with the name of each stage that takes long, when it begins.
+        allow_code: whether the recipe's code may run: views of the kind "function".
 
     Raises:
         InputError: the recipe or a file that it names is missing or not valid.
@@ -116,8 +117,9 @@ class FrameRenderer:
         *,
         culled: bool = True,
         on_stage: Callable[[str], None] | None = None,
+        allow_code: bool = False,
     ) -> None:
-        self.resolved = resolve_recipe(recipe)
+        self.resolved = resolve_recipe(recipe, allow_code=allow_code)
         self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
         self.setups = FrameSetups(self.resolved)
         self.views = CameraViews(self.setups, lambda setup: make_greenhouse(setup.recipe.greenhouse))

@@ -124,6 +124,8 @@ def recipe_visibility(
     from_file = None if options.poses is None else read_poses(options.poses)
     keeper = SceneKeeper(None)
     source = _PoseSource(FrameRenderer(recipe, keeper, culled=False), keeper, options, from_file)
+    if source.of_frames:
+        recipe.check_code()
     groups = source.groups(indices)
     if options.views and len(groups) > 1:
         raise ArgumentError("views", f"needs frames of one scene and camera, not of {len(groups)}")

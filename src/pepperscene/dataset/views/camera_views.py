@@ -153,6 +153,7 @@ class CameraViews:
             if isinstance(table, FunctionViews):
                 from pepperscene.dataset.views.user_function import function_poses
 
+                self._setups.resolved.check_code()
                 rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.scene, 0)
                 poses = function_poses(table, scene, rng, frames)
                 first = spec.moment - spec.step

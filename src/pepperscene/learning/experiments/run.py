@@ -29,6 +29,8 @@ from pepperscene.learning.experiments.sets import (
     find_sources,
     make_sets,
 )
+from pepperscene.learning.model_names import is_built_in
+from pepperscene.learning.models.registry import build_model
 from pepperscene.learning.models.trained_model import load_model
 from pepperscene.version import __version__
 
@@ -65,6 +67,7 @@ def run_experiments(
     labels: str | None = None,
     workers: int = 0,
     device: str | None = None,
+    allow_code: bool = False,
     on_message: Callable[[str, bool], None] | None = None,
 ) -> ExperimentFiles:
     """Run experiments A to E of the paper, and write their results into a folder.
@@ -81,6 +84,7 @@ def run_experiments(
         labels: meaning of the masks of folders of images without a `classes.toml`.
         workers: processes that read images; they do not change the result.
         device: of torch; None for a GPU if there is one.
+        allow_code: whether the code of recipes and a model `module:factory` may run.
         on_message: called with a line about what is being done, and whether it is one of many that can be
             left out.
 
@@ -91,14 +95,14 @@ def run_experiments(
     chosen, folder = (options or ExperimentOptions()).completed(), Path(out)
     show = on_message or _ignore
     check_can_write(folder, (JSON_NAME, PAGE_NAME, SETTINGS))
-    sources = find_sources(recipes, real, chosen, other, labels)
-    _check_model(sources, chosen)
+    sources = find_sources(recipes, real, chosen, other, labels, allow_code=allow_code)
+    _check_model(sources, chosen, allow_code)
     _claim_folder(folder, {"format": FORMAT, "options": chosen.as_record(), **sources.describe()})
 
     # Build, train and test what is missing.
     sets = make_sets(sources, folder, chosen, lambda text: show(text, True))
     jobs = schedule_jobs(sets, chosen, sources.other)
-    runner = JobRunner(folder, jobs, workers, device, show)
+    runner = JobRunner(folder, jobs, workers, device, show, allow_code=allow_code)
     runner.run()
 
     # Write the results.
@@ -112,10 +116,17 @@ def run_experiments(
     return ExperimentFiles(data, page_file, content)
 
 
-def _check_model(sources: Sources, options: ExperimentOptions) -> None:
-    """Raise `InputError` before the first frame is built if the unrelated model does not know the classes."""
+def _check_model(sources: Sources, options: ExperimentOptions, allow_code: bool) -> None:
+    """Raise `InputError` before the first frame is built if a model cannot be used.
+
+    The unrelated one must know the classes, and that of the trainings may need to run code.
+    """
+    model = options.training.model
+    if not is_built_in(model):
+        build_model(model, len(ClassTable.parse(options.classes)), allow_code=allow_code)
     if isinstance(sources.other, Path):
-        ClassTable.parse(options.classes).merging(load_model(sources.other).classes, "--other")
+        other = load_model(sources.other, factory=model, allow_code=allow_code)
+        ClassTable.parse(options.classes).merging(other.classes, "--other")
 
 
 def _claim_folder(folder: Path, settings: Mapping[str, Any]) -> None:
@@ -210,7 +221,7 @@ def _sizes(split: Any) -> dict[str, int]:
 
 def _training_json(job: NetworkJob, runner: JobRunner) -> dict[str, Any]:
     """What a training was, which state of its network was used, and its curves."""
-    description = load_model(runner.folder(job)).training
+    description = runner.load(job).training
     return {
         "name": job.name,
         "experiment": job.experiment,

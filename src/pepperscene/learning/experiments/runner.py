@@ -30,6 +30,7 @@ class JobRunner:
         jobs: all of them, in order.
         workers: processes that read images.
         device: of torch; None for a GPU if there is one.
+        allow_code: whether a model `module:factory` may be imported and called.
         on_message: called with a line about what is being done, and whether it is one of many that can be
             left out.
     """
@@ -41,9 +42,11 @@ class JobRunner:
         workers: int,
         device: str | None,
         on_message: Callable[[str, bool], None],
+        *,
+        allow_code: bool = False,
     ) -> None:
         self._out, self._jobs, self._workers, self._device = out, jobs, workers, device
-        self._on_message = on_message
+        self._on_message, self._allow_code = on_message, allow_code
         self._images = {job.name: _count_images(job) for job in jobs}
         self._left = sum(self._images[job.name] for job in jobs if not self.is_trained(job))
 
@@ -62,7 +65,7 @@ class JobRunner:
 
     def load(self, job: NetworkJob) -> TrainedModel:
         """The network of a finished job."""
-        model = load_model(self.folder(job))
+        model = load_model(self.folder(job), factory=job.options.model, allow_code=self._allow_code)
         return model if self._device is None else model.to(self._device)
 
     def result(self, job: NetworkJob, test: NetworkTest) -> dict[str, Any]:
@@ -105,6 +108,7 @@ class JobRunner:
                 resume=True,
                 workers=self._workers,
                 device=self._device,
+                allow_code=self._allow_code,
                 on_progress=report,
             )
         finally:

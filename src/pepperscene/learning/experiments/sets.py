@@ -121,6 +121,8 @@ def find_sources(
     options: ExperimentOptions,
     other: str | Path | None = None,
     labels: str | None = None,
+    *,
+    allow_code: bool = False,
 ) -> Sources:
     """Open the sets and load the recipes that the user names.
 
@@ -130,6 +132,7 @@ def find_sources(
         options: number and size of the frames to build.
         other: trained model or set that is not related.
         labels: meaning of the masks of folders without a `classes.toml`.
+        allow_code: whether the code of recipes may run.
 
     Raises:
         InputError: a recipe or a set is missing or not valid, or no photograph has a mask.
@@ -154,7 +157,7 @@ def find_sources(
     # Recipes share the frames evenly.
     names = [text for text in recipes if not _is_set(Path(text))]
     taken: set[str] = set()
-    loaded = [_load_recipe(text, options, len(names), taken) for text in names]
+    loaded = [_load_recipe(text, options, len(names), taken, allow_code) for text in names]
     remaining, existing = iter(loaded), iter(opened)
     synthetic = tuple(next(existing) if _is_set(Path(text)) else next(remaining) for text in recipes)
     return Sources(synthetic, labelled, unlabelled, other_source)
@@ -245,10 +248,14 @@ def _with_masks(images: ImageSet) -> tuple[ImageSet, int]:
     return images.take(labelled), len(images) - len(labelled)
 
 
-def _load_recipe(name: str | Path, options: ExperimentOptions, recipes: int, taken: set[str]) -> RecipeSource:
+def _load_recipe(
+    name: str | Path, options: ExperimentOptions, recipes: int, taken: set[str], allow_code: bool
+) -> RecipeSource:
     """Load a recipe at the size of the options, under a folder name that no other has."""
     height, width = options.size
-    resolved = resolve_recipe(name, {"camera.width": width, "camera.height": height})
+    changes = {"camera.width": width, "camera.height": height}
+    resolved = resolve_recipe(name, changes, allow_code=allow_code)
+    resolved.check_code()
     stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", resolved.recipe.name).strip(".") or "set"
     folder, number = stem, 1
     while folder in taken:

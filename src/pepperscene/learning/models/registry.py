@@ -6,15 +6,15 @@ import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from pepperscene.errors import ArgumentError
+from pepperscene.errors import ArgumentError, PepperError
 from pepperscene.learning.model_names import MODELS
-from pepperscene.learning.user_callable import import_callable
+from pepperscene.learning.user_callable import describe_error, import_callable
 
 if TYPE_CHECKING:
     from torch import nn
 
 
-def build_model(model: str, classes: int) -> nn.Module:
+def build_model(model: str, classes: int, *, allow_code: bool = False) -> nn.Module:
     """Make a model with random weights from torch's generator.
 
     Args:
@@ -23,19 +23,27 @@ def build_model(model: str, classes: int) -> nn.Module:
             3, h, w)` in sRGB, 0 to 1, and returns logits `(n, classes, h', w')`, or a dict with these as
             "out", as torchvision's models do. Logits of another size are enlarged to that of the images.
         classes: number of classes.
+        allow_code: whether a `module:factory` may be imported and called.
 
     Raises:
-        ArgumentError: the model is unknown or does not take the options, or it is no `nn.Module`.
+        ArgumentError: the model is unknown or does not take the options, it is no `nn.Module`, or it is a
+            `module:factory` and code is not allowed.
     """
     from torch import nn
 
     name, *options = (part.strip() for part in model.split(","))
-    values = _parse_options(model, options, name)
+    factory = _find_factory(name, allow_code)
+    values = _parse_options(model, options, name, factory)
     try:
-        module = _find_factory(name)(classes, **values)
-    except (TypeError, ValueError, ArithmeticError) as error:
-        # A value of an option that the factory does not expect, such as text for a number.
-        raise ArgumentError("model", f"{model} cannot be made ({_one_line(error)})") from None
+        module = factory(classes, **values)
+    except (KeyboardInterrupt, MemoryError, PepperError):
+        raise
+    except BaseException as error:
+        # A value of an option that the factory does not expect, such as text for a number; a factory of the
+        # user's may raise anything.
+        if name in MODELS and not isinstance(error, TypeError | ValueError | ArithmeticError):
+            raise
+        raise ArgumentError("model", f"{model} cannot be made ({describe_error(error)})") from None
     if not isinstance(module, nn.Module):
         raise ArgumentError("model", f"{name} must return a torch.nn.Module, not {type(module).__name__}")
     if not any(parameter.requires_grad for parameter in module.parameters()):
@@ -51,15 +59,31 @@ def without_initial_weights(model: str) -> str:
     return ",".join((name, *options))
 
 
-def _find_factory(name: str) -> Callable[..., Any]:
-    path = MODELS[name].factory if name in MODELS else name
-    module, _, attribute = path.partition(":")
+def _find_factory(name: str, allow_code: bool) -> Callable[..., Any]:
+    if name in MODELS:
+        return _built_in_factory(name)
+    module, _, attribute = name.partition(":")
     if not module or not attribute:
         raise ArgumentError("model", f"must be {', '.join(MODELS)} or module:factory, not {name!r}")
-    return import_callable(path, "model")
+    return import_callable(name, "model", allow_code=allow_code)
 
 
-def _parse_options(model: str, options: list[str], name: str) -> dict[str, Any]:
+def _built_in_factory(name: str) -> Callable[..., nn.Module]:
+    """The class of a model of this package."""
+    if name == "small":
+        from pepperscene.learning.models.small import SmallNetwork
+
+        return SmallNetwork
+    if name == "efficientnet_lite0":
+        from pepperscene.learning.models.efficientnet import EfficientNetLite0
+
+        return EfficientNetLite0
+    from pepperscene.learning.models.deeplab import DeepLab
+
+    return DeepLab
+
+
+def _parse_options(model: str, options: list[str], name: str, factory: Callable[..., Any]) -> dict[str, Any]:
     """Options as keyword arguments: numbers where they look like numbers, else text."""
     values: dict[str, Any] = {}
     for option in options:
@@ -70,7 +94,7 @@ def _parse_options(model: str, options: list[str], name: str) -> dict[str, Any]:
             )
         values[key] = _parse_value(value)
     try:
-        parameters = inspect.signature(_find_factory(name)).parameters
+        parameters = inspect.signature(factory).parameters
     except (TypeError, ValueError):
         # A callable without a signature, which is written in C.
         return values
@@ -82,10 +106,6 @@ def _parse_options(model: str, options: list[str], name: str) -> dict[str, Any]:
         text = ", ".join(known) or "none"
         raise ArgumentError("model", f"{name} has no option {unknown[0]}; its options are {text}")
     return values
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _parse_value(text: str) -> Any:

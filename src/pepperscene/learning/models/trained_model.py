@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 from pepperscene.dataset.store.atomic import write_file
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.models.registry import build_model
+from pepperscene.learning.model_names import MODELS, is_built_in
+from pepperscene.learning.models.registry import build_model, without_initial_weights
+from pepperscene.learning.user_callable import user_errors
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
@@ -93,9 +96,11 @@ def apply_model(module: nn.Module, images: torch.Tensor) -> torch.Tensor:
     import torch
     from torch.nn import functional
 
-    logits = module(images)
-    if isinstance(logits, Mapping):
-        logits = logits.get("out")
+    is_built_in = type(module).__module__.startswith("pepperscene.")
+    with nullcontext() if is_built_in else user_errors("the network", "model"):
+        logits = module(images)
+        if isinstance(logits, Mapping):
+            logits = logits.get("out")
     if not isinstance(logits, torch.Tensor) or logits.ndim != 4 or len(logits) != len(images):
         raise ArgumentError("model", 'must return logits (n, classes, h, w), or a dict with these as "out"')
     if logits.shape[-2:] != images.shape[-2:]:
@@ -103,14 +108,21 @@ def apply_model(module: nn.Module, images: torch.Tensor) -> torch.Tensor:
     return logits
 
 
-def load_model(path: str | Path) -> TrainedModel:
+def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool = False) -> TrainedModel:
     """Read a model that `train` wrote.
+
+    A file can only name a model of this package. The factory of another one is given again, by the caller.
 
     Args:
         path: folder of a training, or a file of weights.
+        factory: the `module:factory`, with its options, of a network that is none of this package; it is not
+            used for one that is.
+        allow_code: whether the factory may be imported and called.
 
     Raises:
-        InputError: there is no model, the file is damaged, or its weights do not fit the model that it names.
+        InputError: there is no model, the file is damaged, its weights do not fit the model that it names, or
+            that is none of this package and there is no factory.
+        ArgumentError: the factory cannot be imported or called, or code is not allowed.
         SetupError: torch is not installed.
     """
     require_torch()
@@ -124,15 +136,32 @@ def load_model(path: str | Path) -> TrainedModel:
     try:
         classes = ClassTable.parse(description["classes"])
         width, training = description["width"], description["training"]
-        # Random weights are replaced; torch's generator stays as it is.
-        with torch.random.fork_rng(devices=[]):
-            module = build_model(description["model"], len(classes))
+        recorded = without_initial_weights(description["model"])
     except ArgumentError as error:
         raise InputError(file, error.problem, key=error.where) from None
     except (KeyError, TypeError, AttributeError):
         raise InputError(file, "lacks the description of its model") from None
+    if not is_built_in(recorded) and factory is None:
+        raise _unknown_model(file, recorded)
+    model = recorded if is_built_in(recorded) or factory is None else factory
+    try:
+        # Random weights are replaced; torch's generator stays as it is.
+        with torch.random.fork_rng(devices=[]):
+            module = build_model(model, len(classes), allow_code=allow_code and not is_built_in(recorded))
+    except ArgumentError as error:
+        if model == factory:
+            raise
+        raise InputError(file, error.problem, key=error.where) from None
     fill_module(module, tensors, file)
-    return TrainedModel(module, description["model"], classes, width, training)
+    return TrainedModel(module, model, classes, width, training)
+
+
+def _unknown_model(file: Path, recorded: str) -> InputError:
+    """The error of a file whose network is made by code that is not part of this package."""
+    problem = f"is none of {', '.join(MODELS)}; a network of your own needs --factory module:name"
+    return InputError(
+        file, f"{problem} and --allow-code (in Python, factory= and allow_code=)", key="model", value=recorded
+    )
 
 
 def fill_module(module: nn.Module, tensors: Mapping[str, torch.Tensor], file: Path) -> None:

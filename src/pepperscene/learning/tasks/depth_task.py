@@ -22,6 +22,7 @@ from pepperscene.learning.tasks.depth_errors import (
 from pepperscene.learning.tasks.frames import TaskSplit, count_frames, open_task_frames
 from pepperscene.learning.tasks.predictions import PredictionFolder
 from pepperscene.learning.tasks.result import Score, TaskResult
+from pepperscene.learning.user_callable import user_errors
 
 DEPTH_OUTPUTS: Final = ("colour", "instance", "depth_z", "depth_sensor")
 """Outputs that the frames of a data set must have."""
@@ -94,7 +95,8 @@ def _apply(
     counted: NDArray[np.bool_],
 ) -> NDArray[np.floating[Any]]:
     """The depth that a method computes; raises `InputError` if it is of no use."""
-    depth = np.asarray(method(colour, sensor.copy()))
+    with user_errors(name):
+        depth = np.asarray(method(colour, sensor.copy()))
     if depth.shape != sensor.shape or depth.dtype.kind != "f":
         problem = f"must return real numbers of the shape {sensor.shape}, not {depth.dtype} of {depth.shape}"
         raise InputError(name, problem)

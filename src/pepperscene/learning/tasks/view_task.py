@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
-from pepperscene.errors import InputError, PepperError
+from pepperscene.errors import InputError
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.tasks.view_planners import (
     Planner,
@@ -25,6 +25,7 @@ from pepperscene.learning.tasks.view_planners import (
 )
 from pepperscene.learning.tasks.view_scenes import ViewScene, ViewTask, covered_fraction, view_scenes
 from pepperscene.learning.tasks.voxel_planner import VoxelPlanner
+from pepperscene.learning.user_callable import user_errors
 
 FloatArray = NDArray[np.float64]
 
@@ -157,14 +158,8 @@ def _run(name: str, planner: Planner, scene: ViewScene, run: int) -> list[int]:
 
 
 def _choose(name: str, planner: Planner, state: PlanningState) -> int:
-    try:
+    with user_errors(name):
         number = planner(state)
-    except PepperError:
-        raise
-    except Exception as error:
-        # The planner is the user's and may raise anything.
-        text = " ".join(str(error).split())
-        raise InputError(name, f"failed with {type(error).__name__}: {text}") from error
     count = len(state.candidates)
     if isinstance(number, bool) or not isinstance(number, Integral) or not 0 <= int(number) < count:
         raise InputError(

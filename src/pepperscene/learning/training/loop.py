@@ -48,11 +48,13 @@ class TrainingLoop:
         origin: TrainedModel | None,
         device: str | None,
         record: Mapping[str, Any],
+        *,
+        allow_code: bool = False,
     ) -> None:
         self.options, self.labels, self.record = options, labels, record
         self.device = _find_device(device)
         classes = labels if origin is None else origin.classes
-        module = build_model(options.model, len(classes))
+        module = build_model(options.model, len(classes), allow_code=allow_code)
         if origin is not None:
             module.load_state_dict(origin.module.state_dict())
         module.to(self.device, memory_format=torch.channels_last)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.store.atomic import check_can_create, is_temporary, write_error
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.model_names import is_built_in
 from pepperscene.learning.models.trained_model import (
     FORMAT,
     MODEL_FILE,
@@ -37,6 +39,7 @@ def train(
     resume: bool = False,
     workers: int = 0,
     device: str | None = None,
+    allow_code: bool = False,
     on_progress: Callable[[TrainingProgress], None] | None = None,
 ) -> TrainedModel:
     """Train a network, and write it into a folder.
@@ -53,10 +56,12 @@ def train(
         options: see `TrainingOptions`.
         validation: images by which the best state of the network is chosen; none for the last one.
         start: a trained model to start from. Its model and its classes are kept, so that `options.classes`,
-            in which the labels are read, must be the same or mergers of them; None for its classes.
+            in which the labels are read, must be the same or mergers of them; None for its classes. If its
+            network is none of this package, `options.model` is its factory.
         resume: continue the training in the folder, if there is one.
         workers: processes that read images; 0 for this one. They do not change the result.
         device: of torch, such as "cpu" or "cuda:0"; None for a GPU if there is one.
+        allow_code: whether a model `module:factory` may be imported and called.
         on_progress: is called after each step.
 
     Returns:
@@ -74,7 +79,8 @@ def train(
 
     chosen, folder = options or TrainingOptions(), Path(out)
     sets, validation = _as_tuple(sets), _as_tuple(validation)
-    origin = load_model(start) if isinstance(start, str | Path) else start
+    load = partial(load_model, factory=_own_factory(chosen.model), allow_code=allow_code)
+    origin = load(start) if isinstance(start, str | Path) else start
     if origin is not None:
         # The defaults are those of the model that is adapted.
         chosen = replace(chosen, model=origin.model, classes=chosen.classes or str(origin.classes))
@@ -88,12 +94,17 @@ def train(
         # Raises an error if they have no pixel of the classes.
         class_weights(validation, labels, 0.0)
     with seeded(chosen.seed):
-        training = TrainingLoop(chosen, sets, labels, origin, device, record)
+        training = TrainingLoop(chosen, sets, labels, origin, device, record, allow_code=allow_code)
         try:
             training.run(folder, validation, workers, on_progress)
         except OSError as error:
             raise write_error(error, folder) from None
-    return load_model(folder)
+    return load(folder)
+
+
+def _own_factory(model: str) -> str | None:
+    """The text of a model that is none of this package, or None."""
+    return None if is_built_in(model) else model
 
 
 def _as_tuple(sets: ImageSet | Sequence[ImageSet]) -> tuple[ImageSet, ...]:
