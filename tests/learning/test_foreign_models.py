@@ -150,6 +150,17 @@ def test_a_factory_of_the_user_needs_the_permission_each_time(folder, sets):
     assert "holds weights of another model" in other.stderr
 
 
+def test_a_factory_does_not_replace_a_model_of_this_package(folder, sets):
+    assert run("train", sets, "--out", "small", "--model", "small,width=0.3", *TINY).exit_code == 0
+    own = ("evil_net:make", "--allow-code")
+    result = run("predict", "small", "photo.png", "--out", "out", "--factory", *own)
+    assert result.stderr == ("error: --factory: does not apply to small,width=0.3, a model of this package\n")
+    result = run("train", sets, "--start", "small", "--out", "out", "--model", *own, *TINY)
+    assert result.stderr == "error: --model: cannot be combined with --start, which has a model\n"
+    assert not (folder / "marker").exists()
+    assert not (folder / "out").exists()
+
+
 def test_python_gives_the_factory_and_the_permission(folder):
     options = TrainingOptions(
         "evil_net:make", classes=CLASSES, steps=1, batch=1, size=(32, 32), width=None, precision="float32"
