@@ -133,6 +133,8 @@ def train(
     from pepperscene.learning.training.run import train as train_model
 
     origin = None if start is None else load_model(start, factory=model, allow_code=allow_code)
+    if origin is not None and model is not None and is_built_in(origin.model):
+        raise InputError("--model", "cannot be combined with --start, which has a model")
     if origin is not None and width is None:
         options = replace(options, width=origin.width)
     try:
@@ -245,14 +247,18 @@ def _parse_classes(text: str | None) -> ClassTable | None:
 def _load_model(path: Path, factory: str | None, allow_code: bool) -> Segmenter:
     """Load a trained model; a factory makes its network."""
     require_torch()
+    from pepperscene.learning.model_names import is_built_in
     from pepperscene.learning.models import load_model
 
     try:
-        return load_model(path, factory=factory, allow_code=allow_code)
+        network = load_model(path, factory=factory, allow_code=allow_code)
     except ArgumentError as error:
         # The text of a model is the option --model elsewhere.
         where = "factory" if error.where == "model" else error.where
         raise ArgumentError(where, error.problem, key=error.key, value=error.value) from None
+    if factory is not None and is_built_in(network.model):
+        raise ArgumentError("factory", f"does not apply to {network.model}, a model of this package")
+    return network
 
 
 def require_torch() -> None:
