@@ -32,7 +32,12 @@ _OTHER_ENCODINGS: Final = (
 _LONG_KEY: Final = re.compile(r"""(?:\.[ \t]*(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*){32}""")
 """The end of a dotted key of more parts than `_MAX_DEPTH`."""
 _MOST_TABLES: Final = 100_000  # chosen: brackets of a TOML file; the parser takes 1 kB for each
-_MOST_VALUES: Final = 2_000_000  # chosen: of a JSON file; Python takes about 100 bytes for each
+_MOST_VALUES: Final[Mapping[FileKind, int]] = {
+    "json": 2_000_000,  # 65,535 instances, the most of a frame, have half as many
+    "poses": 4_000_000,  # 100,000 poses, the most that are read, have 2.6 million
+    "annotations": 100_000_000,  # COCO's own largest file has as many coordinates of polygons
+}
+"""Values of a JSON file. Chosen: Python takes about 100 bytes for each."""
 _LONG_NUMBER: Final = re.compile(r"\d[\d_]{999,}")
 _PYTHON_TO_TOML: Final = (
     (re.compile(r"a valid tuple|a valid list"), "a list"),
@@ -101,15 +106,16 @@ def decode_text(content: bytes, where: str | Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def parse_json(content: bytes | str, most_values: int = _MOST_VALUES) -> Any:
-    """The value in a JSON text that comes from a file; raises `ValueError` if there is none.
+def parse_json(content: bytes, kind: FileKind = "json") -> Any:
+    """The value in the JSON text of a file.
 
-    A text with so many values that they would fill the memory has none, nor has one that is nested too deeply.
+    Raises:
+        ValueError: it is not JSON, is nested too deeply, or has more values than a file of its kind may have.
     """
-    if len(content) > most_values:
-        text = content.encode() if isinstance(content, str) else content
-        if sum(map(text.count, (b"[", b"{", b",", b":"))) > most_values:
-            raise ValueError(f"it has more than {most_values:,} values")
+    most = _MOST_VALUES[kind]
+    # Each value but the first follows one of these characters.
+    if len(content) > most and sum(map(content.count, (b"[", b"{", b",", b":"))) > most:
+        raise ValueError(f"it has more than {most:,} values")
     try:
         return json.loads(content)
     except RecursionError:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 EXIT_BAD_INPUT: Final = 2
 
@@ -70,7 +70,7 @@ class SetupError(PepperError):
 
 
 def short_repr(value: object, limit: int = 80) -> str:
-    """The value's `repr`, cut to `limit` characters; no more of it is made, however long or deep the value is."""
+    """The value's `repr`, cut to `limit` characters; no more of it is made, however long the value is."""
     text = ""
     try:
         for piece in _repr_pieces(value, limit):
@@ -78,28 +78,31 @@ def short_repr(value: object, limit: int = 80) -> str:
             if len(text) > limit:
                 break
     except (ValueError, RecursionError):
-        # Integers of thousands of digits have no `repr`.
+        # Integers of thousands of digits have no `repr`; that of deeply nested lists says nothing.
         return f"an integer of {value.bit_length()} bits" if isinstance(value, int) else type(value).__name__
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
-def _repr_pieces(value: object, limit: int) -> Iterator[str]:
+def _repr_pieces(value: Any, limit: int, depth: int = 0) -> Iterator[str]:
     """The `repr` of a value in pieces, which are made as they are needed."""
+    if depth > _MAX_DEPTH:
+        raise RecursionError
     if type(value) in (str, bytes):
         # Each character of a text is one or more of its `repr`.
-        yield repr(value[: limit + 1])  # type: ignore[index]
+        yield repr(value[: limit + 1])
     elif type(value) in _BRACKETS:
         opening, closing = _BRACKETS[type(value)]
         yield opening
-        for number, item in enumerate(value):  # type: ignore[arg-type]
+        for number, item in enumerate(value):
             yield ", " if number else ""
-            yield from _repr_pieces(item, limit)
-            if isinstance(value, dict):
+            yield from _repr_pieces(item, limit, depth + 1)
+            if type(value) is dict:
                 yield ": "
-                yield from _repr_pieces(value[item], limit)
-        yield f",{closing}" if isinstance(value, tuple) and len(value) == 1 else closing
+                yield from _repr_pieces(value[item], limit, depth + 1)
+        yield f",{closing}" if type(value) is tuple and len(value) == 1 else closing
     else:
         yield repr(value)
 
 
+_MAX_DEPTH: Final = 32  # chosen: levels of nested values that a message shows
 _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {list: ("[", "]"), tuple: ("(", ")"), dict: ("{", "}")}

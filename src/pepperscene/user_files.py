@@ -1,10 +1,11 @@
 """The one reader of the files of users: regular files of a limited length, wherever they are.
 
-A name in a recipe or a data set may be that of a device or a pipe, which never end or wait for ever, of a file
-without limit, or of a link that leads out of a data set. So every module that reads a file opens it here.
+A name in a recipe or a data set may be that of a device or a pipe, which never end or wait for ever, of a
+file without limit, or of a link that leads out of a data set. So every module that reads a file opens it
+here.
 
-A link is followed where a user names the file. In a data set, which may come from anybody, it is followed only
-to a file inside the folder of the set; `within` is that folder.
+A link is followed where a user names the file. In a data set, which may come from anybody, it is followed
+only to a file inside the folder of the set; `within` is that folder.
 """
 
 from __future__ import annotations
@@ -13,18 +14,20 @@ import errno
 import os
 import stat
 from collections.abc import Mapping
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO, Final, Literal, cast
+from typing import Final, Literal
 
 from pepperscene.errors import InputError
 
 FileKind = Literal[
-    "text", "calibration", "poses", "json", "annotations", "journal", "table", "log", "image", "values", "mesh",
-    "weights", "cache", "any",
+    "text", "spectra", "calibration", "poses", "json", "annotations", "journal", "table", "log", "image",
+    "values", "mesh", "weights", "cache", "any",
 ]  # fmt: skip
 
 MOST_BYTES: Final[Mapping[FileKind, int]] = {
     "text": 4_000_000,  # TOML, CSV and Python; 200,000 numbers with all digits, the most in one list
+    "spectra": 10_000_000,  # 500 spectra of 2,151 bands, those of a field spectrometer, with eight digits
     "calibration": 100_000,  # they have a few thousand, and 100,000 with the corners of all views
     "poses": 50_000_000,  # 100,000 poses, the most that are read, as indented JSON with all digits
     "json": 16_000_000,  # of a frame; the labels of 65,535 instances, the most of a frame, have 10 million
@@ -39,7 +42,7 @@ MOST_BYTES: Final[Mapping[FileKind, int]] = {
     "cache": 8_000_000_000,  # of the user's own earlier calls; sums of images of 64-bit values
     "any": 8_000_000_000,  # of a file of which only the checksum is computed; as the longest of the others
 }
-"""Most bytes of a file of each kind. All are chosen: far above what the program or others write, as stated."""
+"""Most bytes of a file of each kind. All are chosen: above what this program and others write, as stated."""
 
 _FLAGS: Final = (
     os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -59,7 +62,7 @@ class MissingFileError(InputError):
     """A file does not exist."""
 
 
-def open_file(path: Path, kind: FileKind, *, within: Path | None = None) -> BinaryIO:
+def open_file(path: Path, kind: FileKind, *, within: Path | None = None) -> BufferedReader:
     """Open a regular file for reading.
 
     Args:
@@ -70,7 +73,7 @@ def open_file(path: Path, kind: FileKind, *, within: Path | None = None) -> Bina
 
     Raises:
         MissingFileError: there is no such file.
-        InputError: it cannot be read, is a device, pipe, socket or folder, is too long, or is outside `within`.
+        InputError: it cannot be read, is a device, pipe, socket or folder, is too long, or outside `within`.
     """
     try:
         return _open(path, kind, within)
@@ -108,14 +111,14 @@ def check_file(path: Path, kind: FileKind, *, within: Path | None = None) -> Pat
 
 
 def check_inside(path: Path, within: Path) -> None:
-    """Raise `InputError` if links make a file or folder of a data set one outside the set's folder `within`."""
+    """Raise `InputError` if a link in a path of a data set leads out of the set's folder `within`."""
     target, folder = os.path.realpath(path), os.path.realpath(within)
     if os.path.commonpath((target, folder)) != folder:
         problem = f"leads out of the data set, to {target}; links in it must lead to files inside its folder"
         raise InputError(path, problem)
 
 
-def _open(path: Path, kind: FileKind, within: Path | None) -> BinaryIO:
+def _open(path: Path, kind: FileKind, within: Path | None) -> BufferedReader:
     flags = _FLAGS
     target: str | Path = path
     if within is not None:
@@ -123,7 +126,7 @@ def _open(path: Path, kind: FileKind, within: Path | None) -> BinaryIO:
         target, flags = os.path.realpath(path), flags | _NO_LINK
     # Opening a device can act on it, so its kind is checked before, and again on what was opened.
     _check_kind(os.stat(target), path)
-    file = cast(BinaryIO, open(path, "rb", opener=lambda *_: os.open(target, flags)))  # noqa: SIM115
+    file = open(path, "rb", opener=lambda *_: os.open(target, flags))  # noqa: SIM115
     try:
         status = os.fstat(file.fileno())
         _check_kind(status, path)
@@ -147,4 +150,6 @@ def _check_kind(status: os.stat_result, path: Path) -> None:
 
 
 def _too_long(path: Path, kind: FileKind) -> InputError:
-    return InputError(path, f"is longer than {MOST_BYTES[kind]:,} bytes, the most that is read of such a file")
+    return InputError(
+        path, f"is longer than {MOST_BYTES[kind]:,} bytes, the most that is read of such a file"
+    )

@@ -19,6 +19,7 @@ from pepperscene.dataset.variation.varied import (
     VariedInTurn,
     VariedNumber,
 )
+from pepperscene.errors import short_repr
 
 _SETTINGS: Final = ("per", "draw", "reversed", "scale", "in_turn", "source", "chosen")
 _NUMBER_KEYS: Final = ("mean", "sd", "low", "high", "value", "uniform", "histogram")
@@ -42,7 +43,7 @@ def parse_varied(key: Key, raw: Mapping[str, Any], kind: Kind | None, default: L
     """
     per, draw = raw.get("per", default), raw.get("draw", ".".join(map(str, key)))
     if per not in LEVELS:
-        raise ValueError(f"per must be one of {', '.join(LEVELS)}, not {per!r}")
+        raise ValueError(f"per must be one of {', '.join(LEVELS)}, not {short_repr(per)}")
     if not isinstance(draw, str) or not draw:
         raise ValueError("draw must be a name")
     is_reversed = raw.get("reversed", False)
@@ -75,7 +76,7 @@ def _parse_number(
     key: Key, per: Level, draw: str, is_reversed: bool, content: dict[str, Any], scale: Any, kind: Kind
 ) -> VariedNumber:
     if scale not in ("linear", "log"):
-        raise ValueError(f'scale must be "linear" or "log", not {scale!r}')
+        raise ValueError(f'scale must be "linear" or "log", not {short_repr(scale)}')
     unknown = [name for name in content if name not in _NUMBER_KEYS]
     if unknown:
         raise ValueError(f"{unknown[0]} is not a known key of a distribution of numbers")

@@ -16,6 +16,7 @@ from pepperscene.dataset.store.atomic import write_file
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.models.registry import build_model
+from pepperscene.user_files import check_file
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
     from safetensors import SafetensorError, safe_open
 
     try:
-        with safe_open(file, framework="pt") as content:
+        with safe_open(check_file(file, "weights"), framework="pt") as content:
             description = json.loads((content.metadata() or {}).get("description", "{}"))
             tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
