@@ -22,13 +22,13 @@ from pepperscene.errors import InputError
 
 FileKind = Literal[
     "text", "spectra", "calibration", "poses", "json", "annotations", "journal", "table", "log", "image",
-    "values", "mesh", "weights", "cache", "any",
+    "values", "mesh", "weights", "cache",
 ]  # fmt: skip
 
 MOST_BYTES: Final[Mapping[FileKind, int]] = {
     "text": 4_000_000,  # TOML, CSV and Python; 200,000 numbers with all digits, the most in one list
     "spectra": 10_000_000,  # 500 spectra of 2,151 bands, those of a field spectrometer, with eight digits
-    "calibration": 100_000,  # they have a few thousand, and 100,000 with the corners of all views
+    "calibration": 300_000,  # they have a few thousand, and 100,000 with the corners of all views
     "poses": 50_000_000,  # 100,000 poses, the most that are read, as indented JSON with all digits
     "json": 16_000_000,  # of a frame; the labels of 65,535 instances, the most of a frame, have 10 million
     "annotations": 500_000_000,  # COCO's own largest file of instances has 448 million
@@ -40,7 +40,6 @@ MOST_BYTES: Final[Mapping[FileKind, int]] = {
     "mesh": 200_000_000,  # a million triangles with colours and textures
     "weights": 4_000_000_000,  # a billion weights of four bytes; the shipped networks have up to 65 million
     "cache": 8_000_000_000,  # of the user's own earlier calls; sums of images of 64-bit values
-    "any": 8_000_000_000,  # of a file of which only the checksum is computed; as the longest of the others
 }
 """Most bytes of a file of each kind. All are chosen: above what this program and others write, as stated."""
 

@@ -54,7 +54,7 @@ from pepperscene.dataset.store.manifest import (
 )
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-from pepperscene.user_files import MissingFileError, open_file
+from pepperscene.user_files import FileKind, MissingFileError, open_file
 
 if TYPE_CHECKING:
     import pyarrow
@@ -232,7 +232,8 @@ class Dataset:
             outputs = {
                 str(name): entry
                 for name, entry in entries
-                if name in OUTPUTS and _matches_entry(self.path(index, name), entry, self.folder)
+                if name in OUTPUTS
+                and _matches_entry(self.path(index, name), entry, OUTPUTS[name].file_kind, self.folder)
             }
         except (InputError, KeyError, AttributeError, TypeError):
             return FrameStatus(written_checksum=written)
@@ -298,11 +299,11 @@ class Dataset:
                 self.path(index, output).unlink(missing_ok=True)
 
 
-def _matches_entry(path: Path, entry: Mapping[str, Any], folder: Path) -> bool:
+def _matches_entry(path: Path, entry: Mapping[str, Any], kind: FileKind, folder: Path) -> bool:
     """Whether a file of a data set has the size and the checksum of its entry in the frame's JSON."""
     try:
         is_as_long = path.stat().st_size == entry["bytes"]
-        return bool(is_as_long and digest(path, within=folder) == entry["sha256"])
+        return bool(is_as_long and digest(path, kind, within=folder) == entry["sha256"])
     except (InputError, OSError, KeyError, TypeError):
         return False
 

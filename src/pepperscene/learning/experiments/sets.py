@@ -219,7 +219,7 @@ def _describe_other(sources: Sources) -> dict[str, Any] | None:
     if isinstance(sources.other, ImageSet):
         return {"kind": "set", **describe_images(sources.other)}
     file = sources.other / _MODEL_FILE if sources.other.is_dir() else sources.other
-    return {"kind": "model", "name": sources.other.resolve().name, "sha256": file_digest(file)}
+    return {"kind": "model", "name": sources.other.resolve().name, "sha256": file_digest(file, "weights")}
 
 
 def _is_set(path: Path) -> bool:
