@@ -31,7 +31,7 @@ _OTHER_ENCODINGS: Final = (
 """Byte-order marks of encodings that are not read."""
 _LONG_KEY: Final = re.compile(r"""(?:\.[ \t]*(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*){32}""")
 """The end of a dotted key of more parts than `_MAX_DEPTH`."""
-_MOST_TABLES: Final = 100_000  # chosen: brackets of a TOML file; the parser takes 1 kB for each
+_MOST_KEYS: Final = 50_000  # chosen: keys, tables and lists of a TOML file; reading takes some kB for each
 _MOST_VALUES: Final[Mapping[FileKind, int]] = {
     "json": 2_000_000,  # 65,535 instances, the most of a frame, have half as many
     "poses": 4_000_000,  # 100,000 poses, the most that are read, have 2.6 million
@@ -123,9 +123,9 @@ def parse_json(content: bytes, kind: FileKind = "json") -> Any:
 
 
 def _check_cost(text: str, path: Path) -> None:
-    """Refuse what costs the parser far more than its length: many tables, and keys of many parts."""
-    if text.count("[") + text.count("{") > _MOST_TABLES:
-        raise InputError(path, f"has more than {_MOST_TABLES:,} tables and lists")
+    """Refuse what costs far more than its length: many keys and tables, and keys of many parts."""
+    if sum(map(text.count, "=[{")) > _MOST_KEYS:
+        raise InputError(path, f"has more than {_MOST_KEYS:,} keys, tables and lists")
     # The parser's time for a dotted key grows with the square of its parts.
     if text.count(".") > _MAX_DEPTH and _LONG_KEY.search(text):
         raise InputError(path, f"is nested too deeply: more than {_MAX_DEPTH} levels")

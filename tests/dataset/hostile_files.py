@@ -13,7 +13,6 @@ import shutil
 import signal
 import socket
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 LIMIT_S = 20  # for a case that never ends; most take milliseconds
@@ -54,7 +53,8 @@ TARGETS = [device, pipe, unix_socket, folder, sparse, system_file]
 
 
 def readers():
-    from pepperscene.camera import read_calibration, read_poses
+    from pepperscene.camera.calibration import read_calibration
+    from pepperscene.camera.pose_files import read_poses
     from pepperscene.camera.sensor_files import load_sensor
     from pepperscene.colour import open_patches
     from pepperscene.cultivar import load_cultivar
@@ -163,7 +163,7 @@ def operations():
 
     return {
         "check": check,
-        "report": lambda path: write_report([path], Path("page.html")),
+        "report": lambda path: write_report(path),
         "export": lambda path: export_dataset(path, Path("exported"), "coco"),
         "read": lambda path: [image.size for image in open_images(path)],
         "tables": manifest,
@@ -214,9 +214,10 @@ def empty(path):
     for entry in path.iterdir():
         if entry.name in ("set", "cases"):
             continue
-        with suppress(NotADirectoryError, OSError):
+        if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)
-        entry.unlink(missing_ok=True)
+        else:
+            entry.unlink()
     (path / "elsewhere").mkdir()
 
 

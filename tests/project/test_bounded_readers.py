@@ -39,7 +39,10 @@ EXCEPTIONS = {
     ("dataset/store/atomic.py", "temporary.open('rb+')"): "its own temporary file, to flush it",
     ("dataset/store/images.py", "OpenEXR.File(header, channels)"): "an image in memory, to write it",
     ("dataset/subprocess_rpc.py", "pickle.load(requests)"): "a pipe between processes of one build",
-    ("dataset/subprocess_rpc.py", "pickle.load(self._process.stdout)"): "a pipe between processes of one build",
+    (
+        "dataset/subprocess_rpc.py",
+        "pickle.load(self._process.stdout)",
+    ): "a pipe between processes of one build",
     ("dataset/subprocess_rpc.py", "pickle.load(self._requests)"): "a pipe between processes of one build",
     ("dataset/viewer.py", "webbrowser.open(page.absolute().as_uri())"): "a page for the browser",
     (
