@@ -1,4 +1,4 @@
-"""Reading text files, and TOML files into validated models; every error becomes one `InputError`."""
+"""Reading text and JSON, and TOML files into validated models; every error becomes one `InputError`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pepperscene.errors import InputError
 from pepperscene.shipped import ShippedFolder, find_file
+from pepperscene.user_files import FileKind, read_file
 
 _INTEGERS: Final = range(-(2**63), 2**63)
 """TOML 1.0: 64-bit signed integers, and an error for those that would lose digits."""
@@ -28,6 +29,15 @@ _OTHER_ENCODINGS: Final = (
     (codecs.BOM_UTF16_BE, "UTF-16"),
 )
 """Byte-order marks of encodings that are not read."""
+_LONG_KEY: Final = re.compile(r"""(?:\.[ \t]*(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*){32}""")
+"""The end of a dotted key of more parts than `_MAX_DEPTH`."""
+_MOST_KEYS: Final = 50_000  # chosen: keys, tables and lists of a TOML file; reading takes some kB for each
+_MOST_VALUES: Final[Mapping[FileKind, int]] = {
+    "json": 2_000_000,  # 65,535 instances, the most of a frame, have half as many
+    "poses": 4_000_000,  # 100,000 poses, the most that are read, have 2.6 million
+    "annotations": 100_000_000,  # COCO's own largest file has as many coordinates of polygons
+}
+"""Values of a JSON file. Chosen: Python takes about 100 bytes for each."""
 _LONG_NUMBER: Final = re.compile(r"\d[\d_]{999,}")
 _PYTHON_TO_TOML: Final = (
     (re.compile(r"a valid tuple|a valid list"), "a list"),
@@ -50,10 +60,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read the tables of a TOML file.
 
     Raises:
-        InputError: the file is missing, unreadable, not UTF-8, not TOML (with the parser's line and column)
-            or nested too deeply, or contains an integer beyond 64 bits.
+        InputError: the file is missing, unreadable, too long, not UTF-8, not TOML (with the parser's line and
+            column) or nested too deeply, or contains an integer beyond 64 bits.
     """
     text = read_text(path)
+    _check_cost(text, path)
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -67,22 +78,15 @@ def read_toml(path: Path) -> dict[str, Any]:
     return tables
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, kind: FileKind = "text") -> str:
     """Read a text file in UTF-8, with or without a byte-order mark; every line ends with a line feed.
 
     Lines may end with a line feed, a carriage return (old Mac programs) or both (Windows programs).
 
     Raises:
-        InputError: the file is missing, unreadable or not text in UTF-8.
+        InputError: the file is missing, unreadable, longer than a text of its kind, or not text in UTF-8.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        # A path that no file system accepts.
-        raise InputError(repr(str(path)), f"cannot be read ({error})") from None
-    return decode_text(content, path)
+    return decode_text(read_file(path, kind), path)
 
 
 def decode_text(content: bytes, where: str | Path) -> str:
@@ -100,6 +104,31 @@ def decode_text(content: bytes, where: str | Path) -> str:
         problem = f"must be a text file in UTF-8, but line {line} is not; save it as UTF-8"
         raise InputError(where, problem) from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_json(content: bytes, kind: FileKind = "json") -> Any:
+    """The value in the JSON text of a file.
+
+    Raises:
+        ValueError: it is not JSON, is nested too deeply, or has more values than a file of its kind may have.
+    """
+    most = _MOST_VALUES[kind]
+    # Each value but the first follows one of these characters.
+    if len(content) > most and sum(map(content.count, (b"[", b"{", b",", b":"))) > most:
+        raise ValueError(f"it has more than {most:,} values")
+    try:
+        return json.loads(content)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def _check_cost(text: str, path: Path) -> None:
+    """Refuse what costs far more than its length: many keys and tables, and keys of many parts."""
+    if sum(map(text.count, "=[{")) > _MOST_KEYS:
+        raise InputError(path, f"has more than {_MOST_KEYS:,} keys, tables and lists")
+    # The parser's time for a dotted key grows with the square of its parts.
+    if text.count(".") > _MAX_DEPTH and _LONG_KEY.search(text):
+        raise InputError(path, f"is nested too deeply: more than {_MAX_DEPTH} levels")
 
 
 def _check_values(tables: dict[str, Any], path: Path) -> None:

@@ -6,8 +6,9 @@ command line prints it without a traceback and exits with code 2.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 EXIT_BAD_INPUT: Final = 2
 
@@ -38,13 +39,13 @@ class InputError(PepperError):
         """The message without the name of the file or argument."""
         subject = self.key
         if self.key and self.value is not None:
-            subject = f"{self.key} = {_one_line(self.value)}"
+            subject = f"{self.key} = {short_repr(self.value)}"
         return ": ".join(part for part in (subject, self.problem) if part)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Support pickling with any value, because errors are sent between processes."""
         is_simple = isinstance(self.value, str | int | float | bool | None)
-        value = self.value if is_simple else _one_line(self.value)
+        value = self.value if is_simple else short_repr(self.value)
         return _restored, (type(self), self.where, self.problem, self.key, value)
 
 
@@ -71,11 +72,40 @@ class SetupError(PepperError):
     """The system lacks something (a JIT variant, an LLVM library); the message says what to install."""
 
 
-def _one_line(value: object, limit: int = 80) -> str:
-    """The value's `repr`, cut to `limit` characters."""
+def short_repr(value: object, limit: int = 80) -> str:
+    """The value's `repr`, cut to `limit` characters; no more of it is made, however long the value is."""
+    text = ""
     try:
-        text = repr(value)
+        for piece in _repr_pieces(value, limit):
+            text += piece
+            if len(text) > limit:
+                break
     except (ValueError, RecursionError):
-        # Integers of thousands of digits and deeply nested lists have no `repr`.
+        # Integers of thousands of digits have no `repr`; that of deeply nested lists says nothing.
         return f"an integer of {value.bit_length()} bits" if isinstance(value, int) else type(value).__name__
     return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+def _repr_pieces(value: Any, limit: int, depth: int = 0) -> Iterator[str]:
+    """The `repr` of a value in pieces, which are made as they are needed."""
+    if depth > _MAX_DEPTH:
+        raise RecursionError
+    if type(value) in (str, bytes):
+        # Each character of a text is one or more of its `repr`.
+        yield repr(value[: limit + 1])
+    elif type(value) in _BRACKETS:
+        opening, closing = _BRACKETS[type(value)]
+        yield opening
+        for number, item in enumerate(value):
+            yield ", " if number else ""
+            yield from _repr_pieces(item, limit, depth + 1)
+            if type(value) is dict:
+                yield ": "
+                yield from _repr_pieces(value[item], limit, depth + 1)
+        yield f",{closing}" if type(value) is tuple and len(value) == 1 else closing
+    else:
+        yield repr(value)
+
+
+_MAX_DEPTH: Final = 32  # chosen: levels of nested values that a message shows
+_BRACKETS: Final[Mapping[type, tuple[str, str]]] = {list: ("[", "]"), tuple: ("(", ")"), dict: ("{", "}")}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.errors import ArgumentError
+from pepperscene.user_files import FileKind
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,12 @@ class Output:
     def suffix(self) -> str:
         """Suffix of its file in a data set."""
         return ".json" if not self.is_image else ".exr" if self.dtype.startswith("float") else ".png"
+
+    @property
+    def file_kind(self) -> FileKind:
+        """Kind of its file, which limits the length."""
+        kinds: dict[str, FileKind] = {".json": "json", ".exr": "values", ".png": "image"}
+        return kinds[self.suffix]
 
     @property
     def channels(self) -> tuple[int, ...]:

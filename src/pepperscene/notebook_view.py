@@ -6,8 +6,7 @@ import base64
 import html
 from collections.abc import Iterable
 from io import BytesIO
-from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +15,18 @@ WIDTH_PX: Final = 200
 """Chosen: width of a picture; four fit beside each other in a notebook."""
 
 
-def picture_html(picture: NDArray[np.uint8] | Path, caption: str) -> str:
+def picture_html(picture: NDArray[np.uint8] | BinaryIO, caption: str) -> str:
     """A small picture with a caption.
 
     Args:
-        picture: `(h, w)` or `(h, w, 3)` uint8, or a PNG file.
+        picture: `(h, w)` or `(h, w, 3)` uint8, or an open PNG file.
         caption: plain text.
     """
     from PIL import Image
 
     # Only here: the import takes a tenth of a second.
     image: Any = (
-        Image.open(picture, formats=("PNG",)) if isinstance(picture, Path) else Image.fromarray(picture)
+        Image.fromarray(picture) if isinstance(picture, np.ndarray) else Image.open(picture, formats=("PNG",))
     )
     with image:
         small = image.convert("RGB")

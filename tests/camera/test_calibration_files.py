@@ -161,7 +161,7 @@ def test_invalid_values_give_one_sentence_with_the_file(tmp_path, edit, message)
         ('a: !!int ""', "is not valid YAML"),
         ('a: !!bool "perhaps"', "is not valid YAML"),
         ('a: !!timestamp "today"', "is not valid YAML"),
-        ("a: " + "x" * 1_000_001, "longer than 1000000 characters"),
+        ("a: " + "x" * 300_000, "longer than 300,000 bytes"),
     ],
 )
 def test_other_files_give_one_sentence(tmp_path, text, message):

@@ -17,7 +17,9 @@ from pepperscene.bench.image_errors import Reference
 from pepperscene.bench.scenes import BenchSubject
 from pepperscene.camera import Camera
 from pepperscene.dataset.store.atomic import atomic_write
+from pepperscene.errors import InputError
 from pepperscene.render import Quality, resolve_quality
+from pepperscene.user_files import open_file
 
 OnProgress = Callable[[str], None]
 """Called with a line of progress."""
@@ -114,13 +116,13 @@ def render_reference(
 def _read_cache(path: Path) -> _Halves | None:
     """Sums of an earlier call; None if there are none, or the file is damaged."""
     try:
-        with path.open("rb") as file, np.load(file) as arrays:
+        with open_file(path, "cache") as file, np.load(file) as arrays:
             if int(arrays["form"]) != _FORMAT:
                 return None
             return _Halves(
                 arrays["sums"], arrays["weights"], int(arrays["renders"]), float(arrays["seconds"])
             )
-    except (OSError, ValueError, EOFError, KeyError, BadZipFile):
+    except (InputError, OSError, ValueError, EOFError, KeyError, BadZipFile):
         return None
 
 

@@ -13,7 +13,7 @@ from pepperscene.camera.lens import FY_OVER_FX, Lens
 from pepperscene.document import read_text
 from pepperscene.errors import InputError
 
-_LARGEST_FILE: Final = 1_000_000  # bytes; chosen: calibrations have a few thousand, with all views 100,000
+_MOST_NODES: Final = 100_000  # chosen: with those of aliases; calibrations with all views have 20,000
 LARGEST_SIDE: Final = 20_000  # pixels; chosen: as of sensor files
 FOCAL_PX: Final = (1.0, 1e6)
 """Chosen: with the least, a pixel next to the axis is 45 degrees off it; the most is that of `pixel_rays`."""
@@ -159,14 +159,16 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     Loader.add_constructor(
         "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
     )
-    text = read_text(path)
-    if len(text) > _LARGEST_FILE:
-        raise InputError(path, f"is not a calibration: longer than {_LARGEST_FILE} characters")
+    text = read_text(path, "calibration")
     if text.startswith("%YAML:"):
         text = "#" + text
     try:
-        # Messages that ROS prints end with "---", as if another followed.
-        content = next(iter(yaml.load_all(text, Loader)), None)
+        loader = Loader(text)
+        # Messages that ROS prints end with "---", as if another document followed.
+        root = loader.get_node() if loader.check_node() else None
+        if root is not None and _count_nodes(root, {}) > _MOST_NODES:
+            raise InputError(path, f"has more than {_MOST_NODES:,} values, those of aliases included")
+        content = None if root is None else loader.construct_document(root)
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as error:
         # PyYAML has errors of its own for the syntax, but not for values that do not fit their tag.
         mark = getattr(error, "problem_mark", None)
@@ -175,6 +177,17 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(path, "must be a calibration: image_width, image_height, camera_matrix and so on")
     return content
+
+
+def _count_nodes(node: Any, known: dict[int, int]) -> int:
+    """The number of values below a node of YAML, where an alias counts as often as it occurs."""
+    if id(node) not in known:
+        # A node that contains itself never ends.
+        known[id(node)] = _MOST_NODES + 1
+        children = node.value if isinstance(node.value, list) else []
+        parts = (part for child in children for part in (child if isinstance(child, tuple) else (child,)))
+        known[id(node)] = 1 + sum(_count_nodes(part, known) for part in parts)
+    return known[id(node)]
 
 
 def _has(content: Mapping[str, Any], name: str) -> bool:

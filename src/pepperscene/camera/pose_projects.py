@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -24,6 +25,7 @@ from pepperscene.camera.pose_list import (
     rotations_of_quaternions,
     text_of,
 )
+from pepperscene.document import parse_json
 from pepperscene.errors import ArgumentError, InputError
 
 _OPENGL: Final = np.array([1.0, -1.0, -1.0])
@@ -50,8 +52,8 @@ def read_nerfstudio(path: Path, text: str) -> PoseList:
         InputError: the file is not JSON, has no frames, or a matrix is not a rotation and a translation.
     """
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        content = parse_json(text.encode(), "poses")
+    except ValueError as error:
         raise InputError(path, f"is not valid JSON: {error}") from None
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list):
@@ -210,8 +212,9 @@ def read_colmap(path: Path, text: str) -> PoseList:
 
 def _is_line_of_points(line: str) -> bool:
     """Whether a line has triples X Y POINT3D_ID or nothing; an image's line ends with a name instead."""
-    fields = line.split()
-    return not fields or (len(fields) % 3 == 0 and fields[-1].removeprefix("-").isdecimal())
+    # Counted one by one: a line can have millions.
+    count = sum(1 for _ in re.finditer(r"\S+", line))
+    return not count or (count % 3 == 0 and line.rsplit(maxsplit=1)[-1].removeprefix("-").isdecimal())
 
 
 def colmap_texts(poses: PoseList, camera: Camera | None) -> dict[str, str]:

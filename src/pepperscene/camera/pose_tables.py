@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -28,6 +29,7 @@ from pepperscene.camera.poses import look_at
 from pepperscene.errors import ArgumentError, InputError
 
 _TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_LONGEST_LINE: Final = 10_000  # characters; chosen: a pose with all digits and a long name has 300
 _METRES: Final = {"_m": 1.0, "_mm": 1e-3, "": 1.0}
 """Unit of a coordinate by the end of its column's name."""
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
@@ -70,7 +72,7 @@ def read_tum(path: Path, text: str) -> PoseList:
     """
     rows: list[list[str]] = []
     lines: list[int] = []
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(_lines(path, text), start=1):
         fields = line.split("#", 1)[0].split()
         if not fields:
             continue
@@ -182,7 +184,7 @@ def rotations_of_angles(angles_rad: Array) -> Array:
 
 
 def _read_table(path: Path, text: str) -> _Table:
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+    reader = csv.reader((f"{line}\n" for line in _lines(path, text)), skipinitialspace=True)
     columns: dict[str, int] = {}
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -205,8 +207,16 @@ def _read_table(path: Path, text: str) -> _Table:
     return _Table(path, columns, rows, lines)
 
 
+def _lines(path: Path, text: str) -> Iterator[str]:
+    """The lines of a table; raises `InputError` for one that is far too long for a pose."""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if len(line) > _LONGEST_LINE:
+            raise InputError(path, f"is longer than {_LONGEST_LINE:,} characters", key=f"line {number}")
+        yield line
+
+
 def _columns(names: list[str], path: Path) -> dict[str, int]:
-    if repeated := {name for name in names if names.count(name) > 1}:
+    if repeated := {name for name, count in Counter(names).items() if count > 1}:
         raise InputError(path, "must name each column once", key="header", value=min(repeated))
     return {name: i for i, name in enumerate(names)}
 

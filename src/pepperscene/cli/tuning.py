@@ -190,11 +190,11 @@ def _list_parameters(recipe: Recipe, json: bool) -> None:
 
 def _result_record(result: TuningResult) -> dict[str, Any]:
     """The record of the fit, and the files written."""
+    from pepperscene.dataset.store.frame_json import read_json
     from pepperscene.tuning.output.write import RECORD
 
     (record,) = (path for path in result.files if path.name == RECORD)
-    content: dict[str, Any] = json_text.loads(record.read_text(encoding="utf-8"))
-    return {**content, "files": [str(path) for path in result.files]}
+    return {**read_json(record), "files": [str(path) for path in result.files]}
 
 
 def _print_result(result: TuningResult) -> None:

@@ -109,7 +109,7 @@ def read_spectrum(path: str | Path, column: str, *, outside: Outside = "zero") -
 
 def _read_table(file: Path) -> tuple[list[str], FloatArray]:
     """Header and numbers `(rows, columns)` of a CSV file."""
-    text = read_text(file)
+    text = read_text(file, "spectra")
     try:
         lines = [line for line in csv.reader(io.StringIO(text)) if line]
     except csv.Error as error:

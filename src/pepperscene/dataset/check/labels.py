@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.check.findings import instance_entries, json_object
+from pepperscene.errors import short_repr
 from pepperscene.truth import class_colour, class_pixel_counts, distance_code
 from pepperscene.truth.encodings import is_class_id
 
@@ -119,7 +120,7 @@ def _check_instance_classes(
     for number, entry in instance_entries(metadata).items():
         organ_class = entry.get("class")
         if not isinstance(organ_class, int) or organ_class not in allowed:
-            problem = f"the JSON gives instance {number} the class {organ_class!r}"
+            problem = f"the JSON gives instance {number} the class {short_repr(organ_class)}"
             yield "contradiction", "instance", problem
         elif number < len(class_of):
             class_of[number] = organ_class

@@ -23,10 +23,11 @@ from pepperscene.dataset.store.fields import has_ignored_pixels
 from pepperscene.dataset.store.frame_json import CHECKSUM, is_as_written
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.manifest import MANIFEST, frame_row, fruit_rows, table_columns
-from pepperscene.errors import InputError
+from pepperscene.errors import InputError, short_repr
 from pepperscene.frame import OUTPUTS
 from pepperscene.truth import class_pixel_counts, saturated_fraction
 from pepperscene.truth.encodings import is_class_id
+from pepperscene.user_files import MissingFileError, open_file
 
 _PHOTOS: Final = ("colour", "colour_stereo")
 
@@ -178,7 +179,10 @@ def _check_metadata(dataset: Dataset, metadata: dict[str, Any], index: int) -> I
         yield "contradiction", "is outside the plan of dataset.json"
     for key, value in expected.items():
         if metadata.get(key) != value:
-            yield "contradiction", f"has {key} = {metadata.get(key)!r}; by the plan it must be {value}"
+            yield (
+                "contradiction",
+                f"has {key} = {short_repr(metadata.get(key))}; by the plan it must be {value}",
+            )
 
 
 def _read_file(
@@ -186,30 +190,33 @@ def _read_file(
 ) -> Iterator[tuple[str, str]]:
     """Read one file into `digests` and `images`, and yield kind and description of its problems."""
     if output not in OUTPUTS:
-        yield "contradiction", f"names the unknown output {output!r}"
+        yield "contradiction", f"names the unknown output {short_repr(output)}"
         return
     path = dataset.folder / file_name(index, output)
     try:
-        with path.open("rb") as file:
+        with open_file(path, OUTPUTS[output].file_kind, within=dataset.folder) as file:
             digests[output], size = hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
-    except FileNotFoundError:
+    except MissingFileError:
         yield "missing", "does not exist"
+        return
+    except InputError as error:
+        yield "unreadable", error.problem
         return
     except OSError as error:
         yield "unreadable", f"cannot be read ({error.strerror})"
         return
     expected = entry if isinstance(entry, dict) else {}
     if expected.get("file") != file_name(index, output):
-        yield "contradiction", f"is named {expected.get('file')!r} in the frame's JSON"
+        yield "contradiction", f"is named {short_repr(expected.get('file'))} in the frame's JSON"
     if expected.get("bytes") != size:
-        yield "checksum", f"has {size} bytes, the frame's JSON says {expected.get('bytes')}"
+        yield "checksum", f"has {size} bytes, the frame's JSON says {short_repr(expected.get('bytes'))}"
         return
     if expected.get("sha256") != digests[output]:
         yield "checksum", "is not what was written: its checksum differs"
         return
     # Only now: the content of a damaged file says nothing about the rendered image.
     try:
-        images[output] = read_image(path)
+        images[output] = read_image(path, within=dataset.folder)
     except InputError as error:
         yield "unreadable", error.problem
 

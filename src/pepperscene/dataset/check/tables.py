@@ -23,6 +23,7 @@ from pepperscene.dataset.store.manifest import (
     table_schema,
 )
 from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
+from pepperscene.errors import InputError
 
 _BATCH_ROWS: Final = 4096  # chosen: rows in memory at a time
 
@@ -90,6 +91,8 @@ def _check_readable(name: str, findings: Iterator[Finding]) -> Iterator[Finding]
 
     try:
         yield from findings
+    except InputError as error:
+        yield Finding("damaged", None, name, error.problem)
     except (OSError, ArrowException, LookupError, ValueError, TypeError, MemoryError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         yield Finding("damaged", None, name, f"cannot be read ({reason[:80]})")
@@ -129,7 +132,7 @@ def _read_batches(dataset: Dataset, name: str) -> Iterator[list[Row]]:
 
     checksum = TableChecksum()
     with (
-        open_table_file(dataset.folder / name) as content,
+        open_table_file(dataset.folder / name, dataset.folder) as content,
         parquet.ParquetFile(content, page_checksum_verification=True) as file,
     ):
         if not file.schema_arrow.equals(table_schema(table_columns(name, dataset.info))):

@@ -15,6 +15,7 @@ from pepperscene.dataset.recipe.rig import FIRST_CAMERA
 from pepperscene.dataset.variation.goodness_of_fit import as_number, distinct_draws, goodness_of_fit
 from pepperscene.dataset.variation.recorded import read_variation, recorded_draws, recorded_twins, same_value
 from pepperscene.dataset.variation.varied import Varied
+from pepperscene.errors import short_repr
 
 _UNLIKELY: Final = 1e-4
 """Chosen: a probability that one of ten thousand correct values has by chance."""
@@ -34,7 +35,7 @@ def check_drawn(recipe: Mapping[str, Any], spec: FrameSpec, metadata: Mapping[st
             if name not in drawn:
                 yield f"has no drawn value {name}; by its index and seed it must be {value!r}"
             elif not same_value(value, drawn[name]):
-                found = f"has the drawn value {name} = {drawn[name]!r}"
+                found = f"has the drawn value {name} = {short_repr(drawn[name])}"
                 yield f"{found}; by its index and seed it must be {value!r}"
         for name in sorted(drawn.keys() - expected.keys()):
             yield f"has the drawn value {name}, which the recipe does not vary"
@@ -50,7 +51,7 @@ def _check_shared(recipe: Mapping[str, Any], spec: FrameSpec, metadata: Mapping[
         expected |= {"moment": spec.moment, "rig_camera": name}
     for key, value in expected.items():
         if metadata.get(key) != value:
-            yield f"has {key} = {metadata.get(key)!r}; by the plan it must be {value!r}"
+            yield f"has {key} = {short_repr(metadata.get(key))}; by the plan it must be {value!r}"
 
 
 class DrawnValues:

@@ -21,7 +21,7 @@ from pepperscene.dataset.store.atomic import is_temporary
 from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, Dataset, file_name
 from pepperscene.dataset.store.folder import LITTER, OWN
 from pepperscene.dataset.store.frame_json import DIGITS, frame_index, is_as_written, read_json
-from pepperscene.errors import InputError
+from pepperscene.errors import InputError, short_repr
 from pepperscene.frame import OUTPUTS
 
 
@@ -32,9 +32,9 @@ def open_leniently(folder: Path) -> tuple[Dataset, list[Finding]]:
     info: dict[str, Any] = {}
     problem = ""
     try:
-        info = read_json(folder / MARK)
+        info = read_json(folder / MARK, within=folder)
         if info.get("format") != FORMAT:
-            problem = f"has format = {info.get('format')!r}, must be {FORMAT!r}"
+            problem = f"has format = {short_repr(info.get('format'))}, must be {FORMAT!r}"
         elif not is_as_written(info):
             problem = "is not what was written: its checksum differs; the same build command repairs it"
         elif info.get("recipe_sha256") != digest({name: info.get(name) for name in ("recipe", "files")}):

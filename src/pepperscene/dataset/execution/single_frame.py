@@ -95,6 +95,10 @@ def _earlier_images(folder: Path) -> list[Path]:
         paths = {
             output: folder / f"{output}{OUTPUTS[output].suffix}" for output in OUTPUTS if output in entries
         }
-        return [path for output, path in paths.items() if digest(path) == entries[output]["sha256"]]
+        return [
+            path
+            for output, path in paths.items()
+            if digest(path, OUTPUTS[output].file_kind) == entries[output]["sha256"]
+        ]
     except (InputError, KeyError, TypeError, OSError):
         return []

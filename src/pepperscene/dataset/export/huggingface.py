@@ -25,6 +25,7 @@ from pepperscene.dataset.export.columns import (
 )
 from pepperscene.dataset.export.job import ExportFrame, ExportJob
 from pepperscene.dataset.store.dataset import MARK
+from pepperscene.user_files import read_file
 
 SHARD_BYTES: Final = 500_000_000
 """As `datasets` itself writes them (its default of `max_shard_size`)."""
@@ -72,7 +73,7 @@ def write_huggingface(job: ExportJob, folder: Path) -> None:
         split: _write_split(folder / "data", split, frames, columns)
         for split, frames in job.frames_by_split()
     }
-    (folder / MARK).write_bytes((job.dataset.folder / MARK).read_bytes())
+    (folder / MARK).write_bytes(read_file(job.dataset.folder / MARK, "json", within=job.dataset.folder))
     (folder / "README.md").write_text(_card_text(job.dataset.info, columns, sizes), encoding="utf-8")
 
 

@@ -18,6 +18,8 @@ from pepperscene.dataset.export.selection import Selection
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import has_ignored_pixels, read_frame, read_output
 from pepperscene.errors import InputError, SetupError
+from pepperscene.frame import OUTPUTS
+from pepperscene.user_files import read_file
 
 OnFrame = Callable[[int, int, int], None]
 """Called after every frame with its index, the number of frames done, and the number of all."""
@@ -52,10 +54,7 @@ class ExportFrame:
     def content(self, output: str) -> bytes:
         """The bytes of an output's file, checked against its checksum."""
         path = self.dataset.path(self.index, output)
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise InputError(path, f"cannot be read ({error.strerror})") from None
+        content = read_file(path, OUTPUTS[output].file_kind, within=self.dataset.folder)
         if hashlib.sha256(content).hexdigest() != self.metadata["outputs"].get(output, {}).get("sha256"):
             problem = "is not what the build wrote; run the same build command again to repair it"
             raise InputError(path, problem)

@@ -19,7 +19,7 @@ from pepperscene.dataset.readers.labels import LABEL_FILE, parse_class
 from pepperscene.dataset.readers.pictures import photo_shape, read_photo
 from pepperscene.dataset.store.frame_json import read_json
 from pepperscene.document import read_toml
-from pepperscene.errors import ArgumentError, InputError
+from pepperscene.errors import ArgumentError, InputError, short_repr
 from pepperscene.truth.encodings import mask_box
 
 ANNOTATIONS: Final = "annotations"
@@ -101,7 +101,7 @@ class CocoSet(ImageSet):
     @classmethod
     def from_file(cls, source: Path, labels: Mapping[Any, Any] | None = None) -> Self:
         """The images of an annotation file; `labels` as in `open_images`."""
-        content = read_json(source)
+        content = read_json(source, "annotations")
         root = source.parent.parent if source.parent.name == ANNOTATIONS else source.parent
         if labels is None and (root / LABEL_FILE).exists():
             table, where = read_toml(root / LABEL_FILE), str(root / LABEL_FILE)
@@ -249,7 +249,7 @@ def _category_classes(
         class_id = own.get(name, _CATEGORIES.get(name.lower()))
         if class_id is None:
             known = ", ".join(_CATEGORIES)
-            problem = f"the category {name!r} has no known class ({known})"
+            problem = f"the category {short_repr(name)} has no known class ({known})"
             hint = f"name its class in labels= or in a {LABEL_FILE} of the folder"
             raise InputError(source, f"{problem}; {hint}")
         classes[number] = class_id

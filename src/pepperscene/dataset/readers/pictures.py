@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.errors import InputError
+from pepperscene.user_files import open_file
 
 _ORIENTATION: Final = 0x0112
 """EXIF tag of the camera's orientation."""
@@ -111,7 +112,10 @@ def _open_image(path: Path) -> Iterator[Any]:
     from PIL import Image
 
     try:
-        with Image.open(path, formats=_FORMATS) as image:
+        with open_file(path, "image") as file, Image.open(file, formats=_FORMATS) as image:
             yield image
+    except Image.UnidentifiedImageError:
+        problem = f"cannot be read as an image (cannot identify image file {str(path)!r})"
+        raise InputError(path, problem) from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(path, f"cannot be read as an image ({error})") from None

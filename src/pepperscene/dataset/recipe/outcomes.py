@@ -102,7 +102,7 @@ def _levels(group: Sequence[Varied]) -> list[Changes]:
     if len(group) == 1:
         return [((group[0].key, value),) for value in group[0].extremes]
     if isinstance(group[0], VariedInTurn):
-        period = math.lcm(*(len(varied.extremes) for varied in group))
+        period = math.lcm(*(len(varied.values) for varied in group if isinstance(varied, VariedInTurn)))
         turns = range(min(period, _MOST_COMBINATIONS))
         return [tuple((varied.key, varied.value(0.0, turn)) for varied in group) for turn in turns]
     probabilities = {0.0, _LAST}

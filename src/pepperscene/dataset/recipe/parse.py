@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from pydantic import TypeAdapter, ValidationError
 
 from pepperscene.dataset.recipe.frame_values import changed_recipe, recipe_tables, twin_changes
 from pepperscene.dataset.recipe.merge import has_field
@@ -12,8 +14,14 @@ from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.rig import FIRST_CAMERA
 from pepperscene.dataset.recipe.tables import PLANT_TABLES
 from pepperscene.dataset.recipe.views_tables import FunctionViews, RandomViews, ViewsTable
-from pepperscene.dataset.variation.extract import FIXED, extract_varied, set_value
-from pepperscene.dataset.variation.varied import Varied, VariedNumber
+from pepperscene.dataset.variation.extract import FIXED, OVERRIDE, extract_varied, set_value
+from pepperscene.dataset.variation.varied import (
+    MOST_CHECKED,
+    Varied,
+    VariedInTurn,
+    VariedNumber,
+    distinct_values,
+)
 from pepperscene.document import Document, toml_key, validate
 from pepperscene.errors import InputError
 
@@ -54,7 +62,28 @@ def parse_recipe(table: Mapping[str, Any], where: str) -> Recipe:
         near_low = (varied.value(_NEAR_LOW, 0),) if isinstance(varied, VariedNumber) else ()
         for value in (*varied.extremes, *near_low):
             changed_recipe(recipe, [(varied.key, value)], where)
+        if isinstance(varied, VariedInTurn):
+            _check_each(recipe, varied, where)
     return recipe
+
+
+def _check_each(recipe: Recipe, varied: VariedInTurn, where: str) -> None:
+    """Check every value of a long list in its table alone, which takes a hundredth of the time."""
+    values = distinct_values(varied.values)
+    if len(values) <= MOST_CHECKED or varied.key[0] == OVERRIDE:
+        return
+    name = str(varied.key[0])
+    tables, field = recipe_tables(recipe), Recipe.model_fields[name]
+    allowed: Any = field.annotation
+    for rule in field.metadata:
+        allowed = Annotated[allowed, rule]
+    table = TypeAdapter[Any](allowed)
+    for value in values:
+        set_value(tables, varied.key, value)
+        try:
+            table.validate_python(tables[name])
+        except ValidationError:
+            changed_recipe(recipe, [(varied.key, value)], where)  # raises an error that names the key
 
 
 def _at_limit(

@@ -193,7 +193,7 @@ def _fingerprints(part: str, folder: str | None, name: str) -> dict[str, dict[st
 
         return {part: _fingerprint(Path(name), read_calibration(Path(name)).to_json())}
     if folder == _POSES:
-        return {part: {"name": Path(name).stem, "sha256": atomic.digest(Path(name))}}
+        return {part: {"name": Path(name).stem, "sha256": atomic.digest(Path(name), "mesh")}}
     return _material_fingerprints(part, find_material(folder, name))
 
 
@@ -223,7 +223,7 @@ def _cultivar_fingerprints(part: str, cultivar: str) -> dict[str, dict[str, str]
         if file.suffix == ".toml":
             fingerprints[key] = _fingerprint(file, read_toml(file))
         else:
-            fingerprints[key] = {"name": file.stem, "sha256": atomic.digest(file)}
+            fingerprints[key] = {"name": file.stem, "sha256": atomic.digest(file, "mesh")}
     return fingerprints
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pepperscene.errors import OutputError
+from pepperscene.user_files import FileKind, open_file
 
 _STALE_S: Final = 3600.0  # chosen: no write takes an hour, so an older temporary file is a killed build's
 _TEMPORARY_NAME: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+)\.[0-9a-f]+\.tmp$")
@@ -211,9 +212,10 @@ def _json_lines(value: Any, levels: int) -> str:
     return _dumps(value)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def digest(path: Path, kind: FileKind = "values", *, within: Path | None = None) -> str:
+    """SHA-256 of a file, hexadecimal; arguments and errors are those of `open_file`."""
+    with open_file(path, kind, within=within) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def temporary_path(path: Path) -> Path:

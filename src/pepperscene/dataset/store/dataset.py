@@ -54,6 +54,7 @@ from pepperscene.dataset.store.manifest import (
 )
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
+from pepperscene.user_files import FileKind, MissingFileError, open_file
 
 if TYPE_CHECKING:
     import pyarrow
@@ -100,11 +101,11 @@ class Dataset:
 
     def metadata(self, index: int) -> dict[str, Any]:
         """The content of a frame's JSON; raises `InputError` if it is missing or damaged."""
-        return read_json(self.frame_path(index))
+        return read_json(self.frame_path(index), within=self.folder)
 
     def image(self, index: int, output: str) -> Any:
         """One output of a frame, as `Frame` holds it; raises `InputError` if the frame does not have it."""
-        return read_image(self.path(index, output))
+        return read_image(self.path(index, output), within=self.folder)
 
     def path(self, index: int, output: str) -> Path:
         """Path of an output of a frame."""
@@ -173,21 +174,21 @@ class Dataset:
         from pyarrow import ArrowException, parquet
 
         path = self.folder / name
-        with suppress(OSError, ArrowException, KeyError):
+        with suppress(InputError, OSError, ArrowException, KeyError):
             known = self._open_table(MANIFEST, ["index", "checksum"])
             if self._is_current(known["index"].to_pylist(), known["checksum"].to_pylist()):
                 return self._open_table(name)
         self.write_tables()
         if not path.is_file():
             raise InputError(self.folder, "has no frame with the output harvest; build it first")
-        with open_table_file(path) as file:
+        with open_table_file(path, self.folder) as file:
             return parquet.read_table(file)
 
     def _open_table(self, name: str, columns: list[str] | None = None) -> pyarrow.Table:
         """Read a table whose pages have the right checksums."""
         from pyarrow import parquet
 
-        with open_table_file(self.folder / name) as file:
+        with open_table_file(self.folder / name, self.folder) as file:
             return parquet.read_table(file, columns=columns, page_checksum_verification=True)
 
     def _is_current(self, indices: list[int], checksums: list[str]) -> bool:
@@ -201,8 +202,14 @@ class Dataset:
         return [self.written_checksum(index) for index in indices] == checksums
 
     def written_checksum(self, index: int) -> str:
-        """The checksum in a frame's JSON, without a look at the rest; empty if there is none."""
-        with suppress(FileNotFoundError), self.frame_path(index).open("rb") as file:
+        """The checksum in a frame's JSON, without a look at the rest; empty if there is none.
+
+        Raises `InputError` if the file exists and cannot be read.
+        """
+        with (
+            suppress(MissingFileError),
+            open_file(self.frame_path(index), "json", within=self.folder) as file,
+        ):
             match = _CHECKSUM_LINE.search(file.read(_HEAD_BYTES)) or _CHECKSUM_LINE.search(file.read())
             return match[1].decode() if match else ""
         return ""
@@ -211,7 +218,7 @@ class Dataset:
         for index in indices:
             # The next build repairs a damaged file.
             with suppress(InputError, LookupError, TypeError, AttributeError):
-                yield from list(fruit_rows(index, read_json(self.path(index, "harvest"))))
+                yield from list(fruit_rows(index, read_json(self.path(index, "harvest"), within=self.folder)))
 
     def intact(self, index: int) -> FrameStatus:
         """The files of a frame that are exactly what the build wrote; none if its JSON is damaged."""
@@ -225,7 +232,8 @@ class Dataset:
             outputs = {
                 str(name): entry
                 for name, entry in entries
-                if name in OUTPUTS and _matches_entry(self.path(index, name), entry)
+                if name in OUTPUTS
+                and _matches_entry(self.path(index, name), entry, OUTPUTS[name].file_kind, self.folder)
             }
         except (InputError, KeyError, AttributeError, TypeError):
             return FrameStatus(written_checksum=written)
@@ -291,11 +299,12 @@ class Dataset:
                 self.path(index, output).unlink(missing_ok=True)
 
 
-def _matches_entry(path: Path, entry: Mapping[str, Any]) -> bool:
-    """Whether a file has the size and the checksum of its entry in the frame's JSON."""
+def _matches_entry(path: Path, entry: Mapping[str, Any], kind: FileKind, folder: Path) -> bool:
+    """Whether a file of a data set has the size and the checksum of its entry in the frame's JSON."""
     try:
-        return bool(path.stat().st_size == entry["bytes"] and digest(path) == entry["sha256"])
-    except (OSError, KeyError, TypeError):
+        is_as_long = path.stat().st_size == entry["bytes"]
+        return bool(is_as_long and digest(path, kind, within=folder) == entry["sha256"])
+    except (InputError, OSError, KeyError, TypeError):
         return False
 
 
@@ -313,7 +322,7 @@ def open_dataset(folder: str | Path) -> Dataset:
     path = Path(folder) / MARK
     if not path.is_file():
         raise InputError(folder, f"holds no data set: there is no {MARK} in it")
-    info = read_json(path)
+    info = read_json(path, within=Path(folder))
     if info.get("format") != FORMAT:
         raise InputError(path, f"must be {FORMAT!r}", key="format", value=info.get("format"))
     return Dataset(Path(folder), info)

@@ -7,7 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from pepperscene.errors import InputError
 from pepperscene.notebook_view import object_html, picture_html
+from pepperscene.user_files import open_file
 
 VIEWABLE: Final = ("colour", "class_colour", "class", "instance", "distance_code", "raw")
 """Outputs that any viewer shows, the best first."""
@@ -36,5 +38,9 @@ def _pictures(indices: Sequence[int], path: Callable[[int, str], Path]) -> Itera
         files = (path(index, output) for output in VIEWABLE)
         file = next((file for file in files if file.exists()), None)
         if file is not None:
-            with suppress(OSError, ValueError):
-                yield picture_html(file, f"frame {index}")
+            # Files are in the folders of the outputs.
+            with (
+                suppress(InputError, OSError, ValueError),
+                open_file(file, "image", within=file.parents[1]) as content,
+            ):
+                yield picture_html(content, f"frame {index}")

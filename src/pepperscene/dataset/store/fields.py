@@ -29,6 +29,7 @@ from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 from pepperscene.truth.encodings import is_class_id
+from pepperscene.user_files import read_file
 
 _OBJECTS: Final[Mapping[str, type[BaseModel]]] = {"harvest": HarvestFields, "amodal": AmodalFields}
 """Models of the outputs that are JSON objects."""
@@ -72,8 +73,9 @@ def read_outputs(dataset: Dataset, index: int) -> Collection[str]:
             outputs.
     """
     path = dataset.frame_path(index)
-    with suppress(OSError, ValidationError):
-        files = FrameFiles.model_validate_json(path.read_bytes())
+    text = read_file(path, "json", within=dataset.folder)
+    with suppress(ValidationError):
+        files = FrameFiles.model_validate_json(text)
         if files.index == index:
             return files.outputs.keys()
     # Python's parser reads all that `read_frame` reads, and its errors name the key.
@@ -95,7 +97,7 @@ def read_output(dataset: Dataset, index: int, output: str) -> Any:
         InputError: the file is missing, damaged, of another kind, or holds a class or distance that is none.
     """
     path = dataset.path(index, output)
-    image, expected = read_image(path), OUTPUTS[output]
+    image, expected = read_image(path, within=dataset.folder), OUTPUTS[output]
     if not expected.fits(image):
         raise InputError(
             path, f"must hold {expected.shape} {expected.dtype}, not {image.shape} {image.dtype}"

@@ -18,8 +18,9 @@ from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
 from pepperscene.dataset.store.frame_json import CHECKSUM, checksum_of, is_as_written, read_json
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
-from pepperscene.errors import InputError, OutputError
+from pepperscene.errors import InputError, OutputError, short_repr
 from pepperscene.frame import OUTPUTS
+from pepperscene.user_files import check_inside, read_file
 
 REPORT_FILES: Final = ("index.html", "contact_sheet.png")
 OWN: Final = frozenset({MARK, FRAMES, MANIFEST, FRUIT, JOURNAL, *OUTPUTS, *REPORT_FILES})
@@ -96,10 +97,15 @@ def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
             f"{folder}: holds {unexpected or names[0]!r}, so it is not a data set; "
             "choose an empty or a new folder"
         )
+    for name in names:
+        try:
+            check_inside(folder / name, folder)
+        except InputError as error:
+            raise OutputError(str(error)) from None
     if not names or _is_mendable(folder / MARK, info):
         return
     try:
-        existing = read_json(folder / MARK)
+        existing = read_json(folder / MARK, within=folder)
     except InputError as error:
         raise OutputError(f"{error}; restore that file from a copy, or choose another folder") from None
     if CHECKSUM in existing and not _is_intact(folder / MARK):
@@ -117,7 +123,7 @@ def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
 def _is_intact(path: Path) -> bool:
     """Whether a `dataset.json` is what was written."""
     try:
-        return is_as_written(read_json(path))
+        return is_as_written(read_json(path, within=path.parent))
     except InputError:
         return False
 
@@ -127,10 +133,13 @@ def _is_mendable(path: Path, info: Mapping[str, Any]) -> bool:
     if _is_intact(path):
         return False
     with suppress(InputError):
-        content = read_json(path)
+        content = read_json(path, within=path.parent)
         if {key: value for key, value in content.items() if key != CHECKSUM} == info:
             return True
-    return checksum_of(info).encode() in path.read_bytes()
+    try:
+        return checksum_of(info).encode() in read_file(path, "json", within=path.parent)
+    except InputError:
+        return False
 
 
 def _differences(key: str, existing: Any, expected: Any) -> list[str]:
@@ -141,4 +150,6 @@ def _differences(key: str, existing: Any, expected: Any) -> list[str]:
             for name in sorted(existing.keys() | expected.keys())
             for text in _differences(f"{key}.{name}", existing.get(name), expected.get(name))
         ]
-    return [] if existing == expected else [f"{key} is {existing!r} there and {expected!r} here"]
+    if existing == expected:
+        return []
+    return [f"{key} is {short_repr(existing)} there and {short_repr(expected)} here"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,9 @@ from typing import Any, Final
 
 from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.dataset.store.manifest import Row, frame_row
+from pepperscene.document import parse_json
 from pepperscene.errors import InputError
+from pepperscene.user_files import FileKind, read_file
 
 DIGITS: Final = 6
 """Of a frame's index in file names."""
@@ -63,14 +64,17 @@ def file_entry(name: str, content: bytes) -> dict[str, Any]:
     return {"file": name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read the object in a JSON file; raises `InputError` if it is missing or holds something else."""
+def read_json(path: Path, kind: FileKind = "json", *, within: Path | None = None) -> dict[str, Any]:
+    """Read the object in a JSON file; `within` is the folder of the data set that it belongs to, if any.
+
+    Raises:
+        InputError: the file cannot be read, or holds something else.
+    """
+    content = read_file(path, kind, within=within)
     try:
-        content = json.loads(path.read_bytes())
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError):
+        value = parse_json(content, kind)
+    except ValueError:
         raise InputError(path, "is not valid JSON") from None
-    if not isinstance(content, dict):
+    if not isinstance(value, dict):
         raise InputError(path, "must hold a JSON object")
-    return content
+    return value

@@ -24,7 +24,9 @@ from typing import IO, Any, Final, Self, final
 
 from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.manifest import TIMINGS, Row, fits_columns
+from pepperscene.document import parse_json
 from pepperscene.errors import InputError
+from pepperscene.user_files import MissingFileError, open_file
 
 JOURNAL: Final = "journal.jsonl"
 _MAX_FRAMES: Final = 1_000_000  # file names have six digits
@@ -63,7 +65,7 @@ class Journal:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / JOURNAL
+        self._folder, self._path = folder, folder / JOURNAL
         self._file: IO[bytes] | None = None
         self._lines = _Lines()
         self._added: set[tuple[int, str]] = set()  # index and checksum
@@ -104,14 +106,14 @@ class Journal:
         Raises `InputError` if the file exists and cannot be read.
         """
         try:
-            with self._path.open("rb") as file:
+            with open_file(self._path, "journal", within=self._folder) as file:
                 status = os.fstat(file.fileno())
                 identity = (status.st_dev, status.st_ino)
                 if identity != self._lines.identity or status.st_size < self._lines.end:
                     self._lines = _Lines(identity)
                 file.seek(self._lines.end)
                 self._read_lines(file)
-        except FileNotFoundError:
+        except MissingFileError:
             self._lines = _Lines()
         except OSError as error:
             raise InputError(self._path, f"cannot be read ({error.strerror or error})") from None
@@ -155,7 +157,8 @@ class Journal:
             for index, checksum in frames:
                 span, row = self._lines.rows.get((index, checksum)), None
                 if span is not None:
-                    file = file or stack.enter_context(self._path.open("rb"))
+                    if file is None:
+                        file = stack.enter_context(open_file(self._path, "journal", within=self._folder))
                     file.seek(span[0])
                     row = _decode(file.read(span[1] - span[0]))
                 yield index, row if row is not None and fits_columns(row) else None
@@ -236,8 +239,8 @@ def _decode(line: bytes) -> dict[str, Any] | None:
     if suffix != _SUFFIX % _checksum(body):
         return None
     try:
-        content = json.loads(body + b"}")
-    except (ValueError, RecursionError):
+        content = parse_json(body + b"}")
+    except ValueError:
         return None
     return content if isinstance(content, dict) else None
 

@@ -14,6 +14,7 @@ from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_kinds, drawn_row
 from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
 from pepperscene.frame import OUTPUTS
+from pepperscene.user_files import check_file, read_file
 
 if TYPE_CHECKING:
     import pyarrow
@@ -209,8 +210,8 @@ def write_table(folder: Path, name: str, rows: Iterator[Row], columns: Mapping[s
         writer.add_key_value_metadata({CHECKSUM_KEY: checksum.hexdigest()})
 
 
-def open_table_file(path: Path) -> pyarrow.NativeFile:
-    """Open a table for Arrow, without a Python file.
+def open_table_file(path: Path, folder: Path) -> pyarrow.NativeFile:
+    """Open a table of the data set in a folder for Arrow, without a Python file; errors are `open_file`'s.
 
     One of Arrow's threads could drop the last reference to a Python file, and if the interpreter ends at that
     moment, the process is aborted (apache/arrow, issues 34314 and 50482).
@@ -218,10 +219,10 @@ def open_table_file(path: Path) -> pyarrow.NativeFile:
     import pyarrow
 
     try:
-        return pyarrow.OSFile(os.fspath(path))
+        return pyarrow.OSFile(os.fspath(check_file(path, "table", within=folder)))
     except UnicodeEncodeError:
         # The library takes no path that is not UTF-8.
-        content = path.read_bytes()
+        content = read_file(path, "table", within=folder)
         buffer = pyarrow.allocate_buffer(len(content))
         memoryview(buffer).cast("B")[:] = content
         return pyarrow.BufferReader(buffer)

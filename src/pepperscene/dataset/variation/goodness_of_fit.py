@@ -27,9 +27,10 @@ def draw_numbers(per: Level, plan: Plan, indices: NDArray[np.int64]) -> NDArray[
 def as_number(varied: Varied, value: Any) -> float:
     """A drawn value in JSON as a number: dates in days, outcomes by position; nan if not valid."""
     if isinstance(varied, VariedChoice | VariedInTurn):
-        outcomes = varied.outcomes if isinstance(varied, VariedChoice) else varied.values
-        texts = [item if isinstance(item, bool | int | float | str) else str(item) for item in outcomes]
-        return next((float(place) for place, item in enumerate(texts) if item == value), np.nan)
+        try:
+            return float(varied.positions.get(value, np.nan))
+        except TypeError:  # a list or table, which is no outcome
+            return np.nan
     if isinstance(value, str):
         try:
             return float(datetime.date.fromisoformat(value).toordinal())

@@ -19,10 +19,12 @@ from pepperscene.dataset.variation.varied import (
     VariedInTurn,
     VariedNumber,
 )
+from pepperscene.errors import short_repr
 
 _SETTINGS: Final = ("per", "draw", "reversed", "scale", "in_turn", "source", "chosen")
 _NUMBER_KEYS: Final = ("mean", "sd", "low", "high", "value", "uniform", "histogram")
 _SUM_TOLERANCE: Final = 1e-6  # of weights, which files give with few digits
+_MOST_NAMES: Final = 1_000  # chosen: each can be a file, of which checking takes milliseconds
 _EXAMPLES: Final = (
     "{ mean = 1, sd = 0.1 }, { uniform = [0, 1] }, { first = 0.5, second = 0.5 } or { in_turn = [1, 2] }"
 )
@@ -42,7 +44,7 @@ def parse_varied(key: Key, raw: Mapping[str, Any], kind: Kind | None, default: L
     """
     per, draw = raw.get("per", default), raw.get("draw", ".".join(map(str, key)))
     if per not in LEVELS:
-        raise ValueError(f"per must be one of {', '.join(LEVELS)}, not {per!r}")
+        raise ValueError(f"per must be one of {', '.join(LEVELS)}, not {short_repr(per)}")
     if not isinstance(draw, str) or not draw:
         raise ValueError("draw must be a name")
     is_reversed = raw.get("reversed", False)
@@ -68,6 +70,9 @@ def _values_in_turn(raw: Any) -> tuple[Any, ...]:
         raise ValueError("in_turn must be a list of at least one value")
     if any(isinstance(value, dict) for value in raw):
         raise ValueError("in_turn must be a list of values, not of tables")
+    names = len({value for value in raw if isinstance(value, str)})
+    if names > _MOST_NAMES:
+        raise ValueError(f"in_turn has {names:,} different names; at most {_MOST_NAMES:,} are allowed")
     return tuple(raw)
 
 
@@ -75,7 +80,7 @@ def _parse_number(
     key: Key, per: Level, draw: str, is_reversed: bool, content: dict[str, Any], scale: Any, kind: Kind
 ) -> VariedNumber:
     if scale not in ("linear", "log"):
-        raise ValueError(f'scale must be "linear" or "log", not {scale!r}')
+        raise ValueError(f'scale must be "linear" or "log", not {short_repr(scale)}')
     unknown = [name for name in content if name not in _NUMBER_KEYS]
     if unknown:
         raise ValueError(f"{unknown[0]} is not a known key of a distribution of numbers")
@@ -146,6 +151,8 @@ def _parse_outcomes(
     content: Mapping[str, Any], kind: Kind | None
 ) -> tuple[tuple[Any, ...], tuple[float, ...]]:
     """Outcomes and their probabilities; keys that are numbers or switches become those."""
+    if len(content) > _MOST_NAMES:
+        raise ValueError(f"has {len(content):,} outcomes; at most {_MOST_NAMES:,} are allowed")
     for name, weight in content.items():
         is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
         if not is_number or not 0.0 <= weight <= 1.0:

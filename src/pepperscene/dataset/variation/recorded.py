@@ -21,6 +21,7 @@ from pepperscene.dataset.variation.varied import (
     VariedNumber,
     json_value,
 )
+from pepperscene.errors import short_repr
 
 _TOLERANCE: Final = 1e-9
 """Relative. Chosen: libraries of other machines differ in the last bits of logarithms and quantiles."""
@@ -57,7 +58,7 @@ def _read_varied(name: str, identity: Mapping[str, Any]) -> Varied:
     key: Key = tuple(int(part) if part.isdecimal() else part for part in name.split("."))
     per, draw = identity["per"], identity.get("draw", name)
     if per not in LEVELS:
-        raise ValueError(f"{name}.per must be one of {', '.join(LEVELS)}, not {per!r}")
+        raise ValueError(f"{name}.per must be one of {', '.join(LEVELS)}, not {short_repr(per)}")
     if not isinstance(draw, str):
         raise ValueError(f"{name}.draw must be a name")
     if "in_turn" in identity:

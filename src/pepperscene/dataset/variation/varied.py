@@ -7,8 +7,10 @@ import json
 import math
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -18,6 +20,10 @@ from pepperscene.cultivar import Distribution
 
 Level = Literal["set", "scene", "frame"]
 LEVELS: Final[tuple[Level, ...]] = ("set", "scene", "frame")
+MOST_CHECKED: Final = 128
+"""Chosen: of more different values of a list, the limits and this number of others are checked together with
+the rest of a recipe, which takes a millisecond each."""
+
 Key = tuple[str | int, ...]
 """Where a value is in a recipe's tables: names of tables and keys, and positions in lists."""
 
@@ -34,6 +40,27 @@ def json_value(value: Any) -> Any:
     if isinstance(value, Mapping):
         return json.dumps({str(key): json_value(item) for key, item in value.items()}, sort_keys=True)
     return value if isinstance(value, bool | int | float | str) else str(value)
+
+
+def distinct_values(values: Iterable[Any]) -> list[Any]:
+    """The different values of a list, in the order of their first occurrence."""
+    return list({(type(value), repr(value)): value for value in values}.values())
+
+
+def _positions(values: Sequence[Any]) -> dict[Any, int]:
+    """The position of each value of a list as JSON holds it, the first of several."""
+    texts = [value if isinstance(value, bool | int | float | str) else str(value) for value in values]
+    return {text: len(texts) - 1 - number for number, text in enumerate(reversed(texts))}
+
+
+def _limits_and_some(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """All different values; of many that are no names, the least, the greatest, and some between them."""
+    distinct = distinct_values(values)
+    if len(distinct) <= MOST_CHECKED or any(isinstance(value, str) for value in distinct):
+        return tuple(distinct)
+    with suppress(TypeError):
+        distinct.sort()
+    return tuple(distinct[i] for i in np.linspace(0, len(distinct) - 1, MOST_CHECKED).astype(int))
 
 
 @dataclass(frozen=True)
@@ -188,6 +215,11 @@ class VariedChoice(Varied):
         """All outcomes."""
         return self.outcomes
 
+    @cached_property
+    def positions(self) -> dict[Any, int]:
+        """The position of each outcome."""
+        return _positions(self.outcomes)
+
     def describe(self) -> str:
         """The outcomes and their probabilities, for users."""
         pairs = zip(self.outcomes, self.probabilities, strict=True)
@@ -217,12 +249,18 @@ class VariedInTurn(Varied):
 
     @property
     def extremes(self) -> tuple[Any, ...]:
-        """All values."""
-        return self.values
+        """All different values; of many that are no names, the limits and some between them."""
+        return _limits_and_some(self.values)
+
+    @cached_property
+    def positions(self) -> dict[Any, int]:
+        """The position of each value, the first of several."""
+        return _positions(self.values)
 
     def describe(self) -> str:
-        """The values in their order, for users."""
-        return f"in turn {', '.join(map(str, self.values))}"
+        """The values in their order, for users; of many, the first ones and their number."""
+        text = f"in turn {', '.join(map(str, self.values[:MOST_CHECKED]))}"
+        return text if len(self.values) <= MOST_CHECKED else f"{text}, ... ({len(self.values):,} values)"
 
     def identity(self) -> dict[str, Any]:
         """All that drawn values depend on, ready for JSON."""

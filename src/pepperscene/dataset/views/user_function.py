@@ -35,7 +35,7 @@ def function_poses(
     Raises:
         InputError: the file has no such function, or it fails or returns something else.
     """
-    function = _load(table.file, table.function, atomic.digest(Path(table.file)))
+    function = _load(table.file, table.function, atomic.digest(Path(table.file), "text"))
     try:
         poses = np.array(function(scene, rng), dtype=float)
     except (Exception, SystemExit) as error:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import codecs
 import io
-import stat
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,6 +28,7 @@ from pepperscene.geometry.fruit.scan_triangles import (
     damaged_scan,
 )
 from pepperscene.geometry.mesh import FloatArray
+from pepperscene.user_files import MissingFileError, open_file
 
 _MOST_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 100_000_000, ".stl": 100_000_000}
 """Chosen: a million triangles fit, with colours and textures, and are read with less than 2 GB of memory."""
@@ -72,20 +72,18 @@ def read_triangles(path: Path, *, colour: bool = False) -> ScanTriangles:
 
 
 def _read_content(path: Path) -> bytes:
-    """The bytes of a regular file that is not too long."""
+    """The bytes of a file that is not too long for its format."""
     most = _MOST_BYTES[path.suffix.lower()]
     try:
-        status = path.stat()
-        # A device or a pipe may never end.
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(path, f"is not a file; {ALLOWED_SCAN}")
-        content = b"" if status.st_size > most else path.read_bytes()
-    except FileNotFoundError:
+        with open_file(path, "mesh") as file:
+            content = file.read(most + 1)
+    except MissingFileError:
         raise InputError(path, f"there is no such file; {ALLOWED_SCAN}") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(path, f"cannot be read ({reason}); {ALLOWED_SCAN}") from None
-    if status.st_size > most:
+    except InputError as error:
+        raise InputError(error.where, f"{error.problem}; {ALLOWED_SCAN}") from None
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror or error}); {ALLOWED_SCAN}") from None
+    if len(content) > most:
         limit = f"{most // 1_000_000} MB, the most that is read of {path.suffix[1:].upper()}"
         raise InputError(path, f"is longer than {limit}: simplify it before")
     return content

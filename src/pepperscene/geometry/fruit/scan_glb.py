@@ -8,7 +8,6 @@ scan consists of: triangles in a tree of nodes, colours of points, and the base 
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera.colorimetry import srgb_decode
+from pepperscene.document import parse_json
 from pepperscene.errors import InputError
 from pepperscene.geometry.fruit.scan_triangles import (
     MOST_TRIANGLES,
@@ -113,7 +113,7 @@ def _chunks(content: bytes, path: Path) -> tuple[dict[str, Any], memoryview]:
     text = chunks.get(_JSON, b"")
     if len(text) > _MOST_JSON:
         raise damaged_scan(path, f"its structure has {len(text)} bytes, and at most {_MOST_JSON} are read")
-    tree = json.loads(bytes(text))
+    tree = parse_json(bytes(text))
     if not isinstance(tree, dict):
         raise damaged_scan(path, "its structure is not a table")
     return tree, chunks.get(_BIN, memoryview(b""))

@@ -14,7 +14,8 @@ import torch
 
 from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.dataset.store.atomic import canonical_json, check_can_write, write_files, write_json
-from pepperscene.errors import InputError, OutputError
+from pepperscene.document import parse_json
+from pepperscene.errors import InputError, OutputError, short_repr
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.experiments.options import ExperimentOptions
 from pepperscene.learning.experiments.page import experiments_page
@@ -32,6 +33,7 @@ from pepperscene.learning.experiments.sets import (
 from pepperscene.learning.model_names import is_built_in
 from pepperscene.learning.models.registry import build_model
 from pepperscene.learning.models.trained_model import load_model
+from pepperscene.user_files import read_file
 from pepperscene.version import __version__
 
 JSON_NAME: Final = "experiments.json"
@@ -139,14 +141,15 @@ def _claim_folder(folder: Path, settings: Mapping[str, Any]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         write_json(file, current)
         return
+    content = read_file(file, "json")
     try:
-        found = json.loads(file.read_bytes())
+        found = parse_json(content)
     except ValueError:
         raise InputError(file, "is damaged; choose another folder") from None
     difference = _first_difference(found, current)
     if difference is not None:
         key, there, here = difference
-        problem = f"{key} is {there!r} there and {here!r} here; choose another folder"
+        problem = f"{key} is {short_repr(there)} there and {short_repr(here)} here; choose another folder"
         raise InputError(file, f"is of other experiments: {problem}")
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from pepperscene.dataset.store.atomic import write_json
+from pepperscene.document import parse_json
 from pepperscene.errors import InputError
 from pepperscene.learning.evaluation.evaluate import evaluate
 from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
@@ -16,6 +17,7 @@ from pepperscene.learning.models.trained_model import TrainedModel, load_model
 from pepperscene.learning.training.loop import LOG_FILE
 from pepperscene.learning.training.progress import TrainingProgress
 from pepperscene.learning.training.run import train
+from pepperscene.user_files import read_file
 
 TRAININGS: Final = "trainings"
 TESTS: Final = "tests"
@@ -152,8 +154,8 @@ def _duration(seconds: float) -> str:
 
 def _read_json(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_bytes())
-    except (OSError, ValueError):
+        content = parse_json(read_file(file, "json"))
+    except (InputError, ValueError):
         raise InputError(file, "cannot be read; remove it to test the network again") from None
     if not isinstance(content, Mapping):
         raise InputError(file, "is damaged; remove it to test the network again")
@@ -164,9 +166,7 @@ def _read_log(file: Path) -> list[dict[str, Any]]:
     """Complete lines of the log of a training; none if there is no log."""
     lines = []
     if file.is_file():
-        for line in file.read_text(encoding="utf-8").splitlines():
-            try:
-                lines.append(dict(json.loads(line)))
-            except ValueError:
-                continue
+        for line in read_file(file, "log").splitlines():
+            with suppress(ValueError, TypeError):
+                lines.append(dict(parse_json(line)))
     return lines

@@ -20,6 +20,7 @@ from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.dataset.recipe.recipe import digest
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
+from pepperscene.dataset.store.atomic import digest as file_digest
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.experiments.options import ExperimentOptions
 from pepperscene.learning.experiments.splits import (
@@ -221,8 +222,7 @@ def _describe_other(sources: Sources) -> dict[str, Any] | None:
     if isinstance(sources.other, ImageSet):
         return {"kind": "set", **describe_images(sources.other)}
     file = sources.other / _MODEL_FILE if sources.other.is_dir() else sources.other
-    sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
-    return {"kind": "model", "name": sources.other.resolve().name, "sha256": sha256}
+    return {"kind": "model", "name": sources.other.resolve().name, "sha256": file_digest(file, "weights")}
 
 
 def _is_set(path: Path) -> bool:

@@ -16,6 +16,7 @@ from torch import nn
 from torch.nn import functional
 
 from pepperscene.errors import ArgumentError, InputError
+from pepperscene.user_files import check_file
 
 _BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 """Output channels of the convolutions of VGG-16, between its five pooling layers."""
@@ -109,7 +110,7 @@ def _read_weights(features: nn.Sequential, file: Path) -> None:
     if not file.is_file():
         raise InputError(file, "does not exist")
     try:
-        stored = load_file(file)
+        stored = load_file(check_file(file, "weights"))
     except (SafetensorError, OSError) as error:
         raise InputError(file, f"is no safetensors file ({error})") from None
     own = {f"features.{name}": value for name, value in features.state_dict().items()}

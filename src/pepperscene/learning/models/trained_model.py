@@ -19,6 +19,7 @@ from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.model_names import MODELS, is_built_in
 from pepperscene.learning.models.registry import build_model, without_initial_weights
 from pepperscene.learning.user_callable import user_errors
+from pepperscene.user_files import check_file
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
     from safetensors import SafetensorError, safe_open
 
     try:
-        with safe_open(file, framework="pt") as content:
+        with safe_open(check_file(file, "weights"), framework="pt") as content:
             description = json.loads((content.metadata() or {}).get("description", "{}"))
             tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:

@@ -14,6 +14,7 @@ from pepperscene.dataset.readers.pictures import read_mask
 from pepperscene.dataset.store.images import read_image
 from pepperscene.errors import InputError
 from pepperscene.learning.tasks.frames import frame_name
+from pepperscene.user_files import open_file
 
 FloatArray = NDArray[np.float64]
 
@@ -125,8 +126,9 @@ def _size_problem(found: tuple[int, ...], size: tuple[int, ...]) -> str:
 
 def _read_npy(path: Path) -> NDArray[Any]:
     try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        with open_file(path, "values") as file:
+            values = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError, MemoryError) as error:
         raise InputError(path, f"cannot be read as an array ({' '.join(str(error).split())})") from None
     return np.asarray(values)
 

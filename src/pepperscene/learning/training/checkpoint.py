@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from pepperscene.dataset.store.atomic import write_file
-from pepperscene.errors import InputError
+from pepperscene.errors import InputError, short_repr
 from pepperscene.learning.models.trained_model import fill_module, read_weights, weights_as_bytes
 
 STATE_FILE: Final = "state.safetensors"
@@ -92,7 +92,7 @@ def check_record(file: Path, found: Any, record: Mapping[str, Any]) -> None:
     difference = _first_difference(found, record, "")
     if difference is not None:
         key, there, here = difference
-        problem = f"{key} is {there!r} there and {here!r} here"
+        problem = f"{key} is {short_repr(there)} there and {short_repr(here)} here"
         raise InputError(file, f"holds another training: {problem}; choose another folder")
 
 

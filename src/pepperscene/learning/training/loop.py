@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, final
@@ -16,6 +16,7 @@ import torch
 
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.store.atomic import remove_temporary_files, write_file
+from pepperscene.document import parse_json
 from pepperscene.errors import ArgumentError, InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.confusion import confusion_matrix, mean_intersection_over_union
@@ -27,6 +28,7 @@ from pepperscene.learning.training.loss import SegmentationLoss, class_weights
 from pepperscene.learning.training.progress import TrainingProgress
 from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
 from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.user_files import read_file
 
 LOG_FILE: Final = "training.jsonl"
 
@@ -218,13 +220,11 @@ def _truncate_log(file: Path, step: int) -> None:
     if not file.is_file():
         return
     kept = []
-    for line in file.read_text(encoding="utf-8").splitlines():
-        try:
-            if json.loads(line)["step"] <= step:
-                kept.append(line + "\n")
-        except (ValueError, KeyError, TypeError):
-            continue
-    write_file(file, "".join(kept).encode())
+    for line in read_file(file, "log").splitlines():
+        with suppress(ValueError, KeyError, TypeError):
+            if parse_json(line)["step"] <= step:
+                kept.append(line + b"\n")
+    write_file(file, b"".join(kept))
 
 
 def _append_log(file: Path, entry: Mapping[str, Any]) -> None:

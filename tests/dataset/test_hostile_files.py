@@ -1,0 +1,128 @@
+"""Devices, pipes, endless, expanding and misplaced files: one sentence or a finding, within bounded memory."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hostile_files import CONTENTS, SET_FILES, TARGETS
+
+from pepperscene.dataset import load_recipe
+from pepperscene.document import read_toml
+from pepperscene.errors import InputError, PepperError
+
+NAMED = [f"{target.__name__} as " for target in TARGETS]
+DAMAGED = ["device", "pipe", "sparse", "outside"]
+FOLDERS = [name for name in SET_FILES if "/" in name]
+READ_BY = {
+    "report": ("dataset.json", *FOLDERS[:2]),
+    "export": ("dataset.json", "frames/000000.json"),
+    "read": ("dataset.json", *FOLDERS),
+    "tables": ("dataset.json",),
+}
+"""The files of a set that each operation needs, of which it says what is wrong."""
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory, small):
+    """What came of each case, by its name, in a process that may use 300 MB."""
+    folder = tmp_path_factory.mktemp("hostile")
+    shutil.copytree(small.folder, folder / "set")
+    program = Path(__file__).with_name("hostile_files.py")
+    result = subprocess.run(
+        [sys.executable, program], cwd=folder, capture_output=True, text=True, timeout=300
+    )
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    assert result.returncode == 0, f"after {lines[-1:]}: {result.stderr[-2000:]}"
+    return {line["name"]: line for line in lines}
+
+
+def test_no_case_ends_in_another_error(outcomes):
+    assert [case for case in outcomes.values() if "fault" in case] == []
+
+
+@pytest.mark.parametrize("target", NAMED)
+def test_a_file_that_a_user_names_must_be_regular_and_not_too_long(outcomes, target):
+    cases = {name: case for name, case in outcomes.items() if name.startswith(target)}
+    assert len(cases) > 20
+    for name, case in cases.items():
+        assert "error" in case and "\n" not in case["error"] and len(case["error"]) < 2000, name
+
+
+@pytest.mark.parametrize("name", CONTENTS)
+def test_content_that_expands_gives_one_sentence(outcomes, name):
+    message = outcomes[name]["error"]
+    assert name.partition(".")[0] in message
+    assert "\n" not in message and len(message) < 500
+
+
+@pytest.mark.parametrize("target", DAMAGED)
+@pytest.mark.parametrize("file", SET_FILES)
+def test_check_names_a_file_of_a_set_that_is_no_file_of_it(outcomes, target, file):
+    case = outcomes[f"check with {target} as {file}"]
+    findings = case["result"] if "result" in case else [case["error"]]
+    reason = (
+        "is longer than" if target == "sparse" else "regular file" if target == "pipe" else "leads out of"
+    )
+    assert any(file in finding and reason in finding for finding in findings)
+
+
+@pytest.mark.parametrize("file", FOLDERS)
+def test_check_names_files_in_a_folder_that_is_elsewhere(outcomes, file):
+    case = outcomes[f"check with outside_folder as {file}"]
+    assert any(file in finding and "leads out of" in finding for finding in case["result"])
+
+
+@pytest.mark.parametrize("operation", READ_BY)
+def test_what_needs_the_file_gives_one_sentence(outcomes, operation):
+    for target in (*DAMAGED, "outside_folder"):
+        for file in READ_BY[operation]:
+            if target == "outside_folder" and file not in FOLDERS:
+                continue
+            case = outcomes[f"{operation} with {target} as {file}"]
+            assert "error" in case and "\n" not in case["error"], f"{operation}, {target}, {file}: {case}"
+
+
+@pytest.mark.parametrize("name", ["class", "frames", "dataset.json", "frames/000000.json"])
+def test_build_refuses_a_set_that_leads_elsewhere(build_small, tmp_path, name):
+    build_small(frames="0:1")
+    path = tmp_path / "set" / name
+    elsewhere = path.rename(tmp_path / "elsewhere")
+    path.symlink_to(elsewhere)
+    with pytest.raises(PepperError, match="leads out of the data set"):
+        build_small(frames="0:2")
+
+
+def test_links_inside_a_set_are_followed(build_small, tmp_path):
+    dataset = build_small(frames="0:1").dataset
+    path = dataset.path(0, "class")
+    path.rename(tmp_path / "set" / "class" / "kept.png")
+    path.symlink_to("kept.png")
+    assert dataset.image(0, "class").dtype == "uint8"
+
+
+def test_files_that_a_user_names_may_be_links(tmp_path):
+    (tmp_path / "a.toml").write_text("key = 1\n", encoding="utf-8")
+    (tmp_path / "b.toml").symlink_to(tmp_path / "a.toml")
+    assert read_toml(tmp_path / "b.toml") == {"key": 1}
+
+
+def test_a_list_of_200_000_numbers_is_read_and_each_is_checked(write_recipe):
+    numbers = [100 + number / 1000 for number in range(200_000)]
+    recipe = load_recipe(write_recipe(camera={"exposure_us": {"in_turn": numbers}}))
+    assert recipe.variation[0].value(0.0, 199_999) == numbers[-1]
+    numbers[123_457] = -5.0
+    with pytest.raises(InputError, match=r"camera.exposure_us = -5.0: must be"):
+        load_recipe(write_recipe(camera={"exposure_us": {"in_turn": numbers}}))
+
+
+@pytest.mark.parametrize("shared", [["x"] * 12, {"a": 1, "b": 2}, ("x",) * 12], ids=["list", "dict", "tuple"])
+def test_messages_show_the_beginning_of_a_value_without_its_whole_repr(shared):
+    value = shared
+    for _ in range(20):
+        value = [value] * 12
+    assert "k = [[[[[[[[" in str(InputError("f", "must be a number", key="k", value=value))
