@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pepperscene.dataset.store.atomic import write_file
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.registry import build_model
 from pepperscene.version import __version__
 
@@ -121,6 +122,7 @@ def load_model(path: str | Path) -> TrainedModel:
     if not file.is_file():
         raise InputError(file, "does not exist; `pepperscene train` writes it")
     tensors, description = read_weights(file, FORMAT)
+    description = check_description(file, description, ModelDescription)
     try:
         classes = ClassTable.parse(description["classes"])
         width, training = description["width"], description["training"]
@@ -166,7 +168,7 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
         with safe_open(file, framework="pt") as content:
             description = json.loads((content.metadata() or {}).get("description", "{}"))
             tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, RecursionError) as error:
         raise InputError(file, f"cannot be read as safetensors ({' '.join(str(error).split())})") from None
     if not isinstance(description, dict) or description.get("format") != form:
         raise InputError(file, f"is not of the format {form!r}")

@@ -14,6 +14,7 @@ from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.store.atomic import check_can_create, is_temporary, write_error
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.trained_model import (
     FORMAT,
     MODEL_FILE,
@@ -126,7 +127,7 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
     if STATE_FILE not in names:
         # The training was killed at its first checkpoint, or its state was removed. It starts anew.
         file = folder / MODEL_FILE
-        training = dict(read_weights(file, FORMAT)[1].get("training") or {})
+        training = check_description(file, read_weights(file, FORMAT)[1], ModelDescription)["training"]
         results = ("step", "validation_mean_iou")
         check_record(file, {key: training[key] for key in training if key not in results}, record)
 
