@@ -17,6 +17,7 @@ from pepperscene.cli.application import (
     RecipeArgument,
     SeedOption,
     SetOption,
+    TargetOption,
     app,
     handle_errors,
     parse_outputs,
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
 @handle_errors
 def plan(
     recipe: RecipeArgument = "demo",
+    frames: Annotated[
+        str | None,
+        typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: the recipe's."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -49,6 +54,7 @@ def plan(
     ] = True,
     outputs: OutputsOption = DEFAULTS,
     quality: QualityOption = "standard",
+    target_error: TargetOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
     workers: Annotated[
@@ -61,8 +67,9 @@ def plan(
     names = parse_outputs(outputs)
     from pepperscene.dataset import BuildOptions
 
-    options = BuildOptions(quality=quality, seed=seed, workers=workers)
-    describe_build(select_frames(recipe, set), names, options, json=json, probe=probe, out=out, poses=poses)
+    options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
+    resolved = select_frames(recipe, set, frames)
+    describe_build(resolved, names, options, json=json, probe=probe, out=out, poses=poses)
 
 
 def select_frames(recipe: str, changes: list[str] | None, frames: str | None = None) -> ResolvedRecipe:

@@ -23,6 +23,7 @@ from pepperscene.colour.statistics import hue_histogram, srgb_codes
 from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.shipped import is_file, shipped_folder
+from pepperscene.shipped import is_file
 from pepperscene.spectra import Provenance, read_spectra, spectra_file
 
 Clipped = Literal["keep", "leave_out"]
@@ -83,7 +84,7 @@ def open_reflectances(file: str | Path) -> PatchSet:
 def _read_kinds(path: Path) -> dict[str, str]:
     """Kinds of the columns in a CSV's TOML; the rest of the TOML must be valid provenance."""
     toml = path.with_suffix(".toml")
-    tables = read_toml(toml)
+    tables = read_toml(toml) if is_file(toml) else {}
     kinds = tables.pop(_KINDS, {})
     validate(Provenance, tables, toml)
     if not isinstance(kinds, dict):
