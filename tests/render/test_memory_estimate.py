@@ -10,10 +10,12 @@ from processes import run_python
 
 from pepperscene.camera import Motion
 from pepperscene.dataset import resolve_recipe
+from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.dataset.scenes.plant_size import plant_triangles
 from pepperscene.dataset.scenes.scene_size import scene_triangles
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
-from pepperscene.geometry import compilation
+from pepperscene.geometry import compilation, mesh_plant
+from pepperscene.grammar import grow
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory, written_memory
 

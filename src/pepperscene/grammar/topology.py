@@ -211,7 +211,7 @@ class TopologyBuilder:
         """Draw breadth first, so that a level's organs of one kind are drawn together.
 
         Raises:
-            ValueError: the plant has too many organs.
+            InputError: the plant has more than 200,000 organs.
         """
         level, groups = list(self._draw_node_items()), list[OrganGroup]()
         while level:
@@ -289,7 +289,8 @@ class TopologyBuilder:
         number = self.count + width * np.arange(row.size) + width - 1
         self.count += width * row.size
         if self.count > _MAX_ORGANS:
-            raise ValueError(f"the plant grows without end: more than {_MAX_ORGANS} organs with {name}")
+            problem = f"grows more than {_MAX_ORGANS:,} organs on a plant; its slots must bear fewer"
+            raise InputError(self.cultivar, problem, key=f"organs.{name}")
         depths = parents.depths[row]
         if name in self.limits:
             depths[:, list(self.limits).index(name)] += 1
