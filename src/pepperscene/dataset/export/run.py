@@ -282,6 +282,7 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
         temporary = out / beside.name if out.is_dir() else beside
         try:
             make_folder(temporary.parent, created)
+            remove_temporary_files(temporary.parent, f"{out.resolve().name}.")
             temporary.mkdir()
             yield temporary
             if hasattr(os, "sync"):
@@ -305,9 +306,10 @@ def _check_out(out: Path, source: Path) -> None:
     check_can_create(out)
     if out.resolve().is_relative_to(source.resolve()):
         raise OutputError(f"{out}: is inside the data set {source}; choose another folder")
+    content: list[str] = []
     if out.is_dir():
-        # Of an export that was killed.
+        # Those of an export that was killed do not count.
         remove_temporary_files(out)
-    content = sorted(path.name for path in out.iterdir() if path.name not in LITTER) if out.is_dir() else []
+        content = sorted(path.name for path in out.iterdir() if path.name not in LITTER)
     if content:
         raise OutputError(f"{out}: holds {content[0]!r}; choose an empty or a new folder")

@@ -148,7 +148,8 @@ def sole_writer(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise write_error(error, folder) from None
     finally:
-        remove(path for path in created if not any(path.iterdir()))
+        # Those with files stay.
+        remove(created)
 
 
 @contextmanager
@@ -231,8 +232,7 @@ def _check_outside_data_sets(folder: Path) -> None:
     resolved = folder.resolve()
     for path in (resolved, *resolved.parents):
         if all((path / name).exists() for name in _IN_DATA_SETS):
-            where = "is" if path == resolved else "is inside"
-            raise OutputError(f"{folder}: {where} the data set {path}; choose another folder")
+            raise OutputError(f"{folder}: is inside the data set {path}; choose another folder")
 
 
 def check_can_write(folder: Path, names: Iterable[str]) -> None:
@@ -288,11 +288,16 @@ def is_temporary(path: Path) -> bool:
     return path.name.startswith(".") and path.name.endswith(".tmp")
 
 
-def remove_temporary_files(folder: Path) -> None:
-    """Remove the temporary files and folders that killed builds left in a folder."""
+def remove_temporary_files(folder: Path, name: str = "") -> None:
+    """Remove the temporary files and folders that killed processes left in a folder.
+
+    Args:
+        folder: that holds them.
+        name: of the file or folder that they were to become; "" for any.
+    """
     for path in folder.iterdir():
         with suppress(FileNotFoundError):
-            if not is_temporary(path):
+            if not is_temporary(path) or not path.name.startswith(f".{name}"):
                 continue
             if path.is_dir() and not path.is_symlink():
                 # The folder with the key of a cluster. A running build does not touch it for hours.
