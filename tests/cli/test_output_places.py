@@ -1,4 +1,4 @@
-"""Where commands write: not into a data set, and not where another process writes; unforeseen system errors."""
+"""Where commands write: not into a data set; unforeseen system errors; the frames of `plan`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a killed export leaves does not block the next one; the hint to add an output is a command that runs."""
+"""What a killed export leaves blocks no other; the hint for missing outputs is a valid command."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def test_the_leftovers_of_a_killed_export_are_removed(painted, tmp_path, exists)
     if exists:
         out.mkdir()
     environment = {**os.environ, "PYTHONPATH": PYTHONPATH}
-    process = subprocess.run([sys.executable, "-c", _SCRIPT, str(painted.folder), str(out)], env=environment, timeout=60)
+    process = subprocess.run(
+        [sys.executable, "-c", _SCRIPT, str(painted.folder), str(out)], env=environment, timeout=60
+    )
     assert process.returncode == -9
     left = list((out if exists else tmp_path).glob(".*.tmp"))
     assert len(left) == 1
@@ -70,12 +72,16 @@ def test_the_hint_names_no_recipe_that_would_not_add_to_the_set(case, tmp_path):
     if case == "quality":
         quality = "draft"
     changes = {"seed": 9} if case == "changed" else {}
-    expected = "`pepperscene build RECIPE --out 'my set' --outputs depth_z` adds it, with the recipe and the options"
+    expected = (
+        "`pepperscene build RECIPE --out 'my set' --outputs depth_z` adds it, with the recipe and the options"
+    )
     assert adding_command(resolve_recipe(recipe, changes), quality).startswith(expected)
 
 
 def test_a_missing_output_is_named_with_the_hint(painted, copied, tmp_path):
     folder = copied(painted).folder
     (folder / "distance" / "000003.exr").unlink()
-    with pytest.raises(InputError, match=r"no output 'distance', .*`pepperscene build RECIPE .*` adds it, with the"):
+    with pytest.raises(
+        InputError, match=r"no output 'distance', .*`pepperscene build RECIPE .*` adds it, with the"
+    ):
         export_dataset(folder, "rgbd", tmp_path / "out")

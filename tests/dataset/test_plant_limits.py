@@ -30,7 +30,11 @@ SMALL = {"row.plants_front": 1, "row.plants_back": 0}
 
 def bearing(kind, positions, count="twelve", **keys):
     """The changes of a recipe whose petioles bear organs of a kind, `count` at each of some positions."""
-    slot = {"name": "many", "what": {kind: 1.0, "chosen": "a test"}, "count": {count: 1.0, "chosen": "a test"}}
+    slot = {
+        "name": "many",
+        "what": {kind: 1.0, "chosen": "a test"},
+        "count": {count: 1.0, "chosen": "a test"},
+    }
     slot |= {"at": np.linspace(0, 1, positions).tolist(), "spread": {"value_deg": 20.0, "chosen": "a test"}}
     return {"override": {"organs": {"petiole": {"bears": [slot | keys]}}}}
 
@@ -96,7 +100,11 @@ def test_the_bound_of_triangles_holds_and_is_close(cultivar, detail):
         bearing("pedicel", 3),
         bearing("fruit", 2, "two"),
         shape(lobes=40.0, lobe_depth=0.2),
-        {"override": {"organs": {"lamina": {"palmate": True, "teeth": {"value": 400.0, "chosen": "a test"}}}}},
+        {
+            "override": {
+                "organs": {"lamina": {"palmate": True, "teeth": {"value": 400.0, "chosen": "a test"}}}
+            }
+        },
     ],
     ids=["laminae", "stalks", "fruit", "lobes", "teeth"],
 )
@@ -116,7 +124,17 @@ def test_the_command_ends_in_one_sentence(tmp_path):
         f'{{name="m", what={{lamina=1.0, {CHOSEN}}}, count={{twelve=1.0, {CHOSEN}}}, at=[{kinds}], '
         f"spread={{value_deg=0.0, {CHOSEN}}}}}"
     )
-    command = [sys.executable, "-m", "pepperscene", "render", "demo", "--out", tmp_path / "t", "--outputs", "class"]
+    command = [
+        sys.executable,
+        "-m",
+        "pepperscene",
+        "render",
+        "demo",
+        "--out",
+        tmp_path / "t",
+        "--outputs",
+        "class",
+    ]
     command += ["--set", "row.plants_front=1", "--set", "row.plants_back=0"]
     command += ["--set", f"override.organs.petiole.bears=[{slot}]"]
     process = subprocess.run(

@@ -50,7 +50,8 @@ def write_model(trained, tmp_path):
 
 
 WRONG = [
-    ("width", -5), ("width", "abc"), ("width", 1e8), ("width", 10**8), ("width", True), ("width", float("nan")),
+    ("width", -5), ("width", "abc"), ("width", 1e8), ("width", 10**8), ("width", True),
+    ("width", float("nan")),
     ("width", [400]), ("width", 0), ("width", ...), ("classes", "leaf"), ("classes", 5), ("classes", None),
     ("classes", "x" * 5000), ("classes", ...), ("training", "abc"), ("training", ["a"]), ("training", None),
     ("training", ...), ("model", 7), ("model", "small,width=100000"), ("model", "small,width=nan"),
@@ -93,10 +94,21 @@ def test_widths_of_networks_are_bounded(model, width):
 
 @pytest.mark.parametrize(
     ("option", "value", "message"),
-    [("--width", "100000000", "32 to 8192"), ("--size", "9000x64", "32 to 8192"), ("--batch", "100000", "1 to 4096")],
+    [
+        ("--width", "100000000", "32 to 8192"),
+        ("--size", "9000x64", "32 to 8192"),
+        ("--batch", "100000", "1 to 4096"),
+    ],
 )
 def test_options_of_a_training_are_bounded(tmp_path, option, value, message):
-    arguments = ["train", str(write_bands(tmp_path / "set", 1)), "--out", str(tmp_path / "out"), option, value]
+    arguments = [
+        "train",
+        str(write_bands(tmp_path / "set", 1)),
+        "--out",
+        str(tmp_path / "out"),
+        option,
+        value,
+    ]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == EXIT_BAD_INPUT, result.output
     assert message in result.stderr

@@ -18,14 +18,17 @@ pytest.importorskip("safetensors", reason="the extra `learn` installs safetensor
 pytest.importorskip("fcntl", reason="folders have no locks on this system")
 
 OPTIONS = (
-    "--model", "small,width=0.3", "--steps", "4", "--batch", "1", "--size", "32x32", "--width", "0", "--validate", "1",
+    "--model", "small,width=0.3", "--steps", "4", "--batch", "1", "--size", "32x32", "--width", "0",
+    "--validate", "1",
 )  # fmt: skip
 
 
 def start(data, out, *options):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-m", "pepperscene", "train", str(data), "--out", str(out), *OPTIONS, *options]
-    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
 
 
 @pytest.mark.slow

@@ -21,11 +21,11 @@ _AT_DETAIL_1: Final[Mapping[OrganForm, int]] = {
 }
 """Triangles of an organ of each form at detail 1; blades depend on their margins."""
 _CALYX: Final = 1092  # of a calyx with long teeth, at detail 1; one with short teeth has fewer
-_CLOSED_HOLES: Final = 1.1  # chosen: triangles of a scan with its holes closed, over those it is simplified to
+_CLOSED_HOLES: Final = 1.1  # chosen: triangles of a scan with closed holes, over those without
 
 
 def most_triangles(plant: PlantParameters, detail: float = 1.0) -> int:
-    """An upper bound of the triangles of `mesh_plant`; for plants without scans it is at most 1.3 times theirs.
+    """An upper bound of the triangles of `mesh_plant`, without scans at most 1.3 times their number.
 
     Args:
         plant: parameters of all organs.

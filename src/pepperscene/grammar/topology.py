@@ -262,7 +262,7 @@ class TopologyBuilder:
         # Items are counted before they are drawn, because their arrays may not fit into memory.
         items = len(slots) * len(slot.at) * max(slot.count.numbers) * (2 if slot.pairs else 1)
         if items > _MAX_DRAWN:
-            problem = f"draws up to {items:,} organs in this slot of a plant; at most {_MAX_DRAWN:,} are allowed"
+            problem = f"draws up to {items:,} organs of a plant; at most {_MAX_DRAWN:,} are allowed"
             raise InputError(self.cultivar, problem, key=f"organs.{parents.kind}.bears.{index}")
         row, address, at, rotation = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
         exhausted = np.zeros((len(slots), len(kinds)), dtype=bool)

@@ -23,7 +23,6 @@ from pepperscene.colour.statistics import hue_histogram, srgb_codes
 from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.shipped import is_file, shipped_folder
-from pepperscene.shipped import is_file
 from pepperscene.spectra import Provenance, read_spectra, spectra_file
 
 Clipped = Literal["keep", "leave_out"]

@@ -129,7 +129,7 @@ def _check_plausible(path: Path, size: tuple[int, int]) -> None:
         raise InputError(
             path,
             f"has {size[0]} x {size[1]} pixels in {written:,} bytes, which no photograph has; above "
-            f"{_LARGE_PHOTO // 10**6} million pixels there must be a byte for every {_PIXELS_PER_BYTE} of them",
+            f"{_LARGE_PHOTO // 10**6} million pixels, at most {_PIXELS_PER_BYTE} may be in a byte",
         )
 
 
@@ -148,8 +148,8 @@ def _open_image(path: Path) -> Iterator[Any]:
             if width * height > MOST_PIXELS:
                 raise InputError(
                     path,
-                    f"has {width} x {height} pixels; at most {MOST_PIXELS // 10**6} million are read: scale it "
-                    "down, or cut it into parts",
+                    f"has {width} x {height} pixels; at most {MOST_PIXELS // 10**6} million are read: "
+                    "scale it down, or cut it into parts",
                 )
             yield image
     except Image.DecompressionBombError:

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from pepperscene.grammar import Plant
 
 _LARGE: Final = 2_000_000
-"""Chosen: triangles of a plant from which its memory is checked as it grows, four times those of a tomato; and
-from which a single plant of a set shows its size."""
+"""Chosen, as four tomatoes: triangles of a plant from which its memory is checked as it grows; and from which
+one plant is enough to show the size of all plants of a set."""
 _PER_TRIANGLE: Final = 400.0
-"""Bytes per triangle of a plant while its mesh is built (measured 215) and its contacts are resolved (390)."""
+"""Bytes per triangle of a plant: measured 215 while its mesh is built, 390 while contacts are resolved."""
 _PER_ORGAN: Final = 6000.0
 """Bytes of an organ: its centreline and measures (measured 3,100), and its instance; chosen."""
 
@@ -46,7 +46,9 @@ def grow_in_memory(
     """The plant of `pepperscene.grammar.grow`, if its mesh fits into memory.
 
     Args:
-        cultivar, rng, lean: as of `grow`.
+        cultivar: has the distributions.
+        rng: gives one number, the plant's key.
+        lean: radians, added to the drawn lean of the stem.
         detail: of the mesh.
 
     Raises:
@@ -71,6 +73,6 @@ def _check_fits(name: str, organs: int, triangles: int) -> None:
     figures = shortage(needed, reserved_address_space(), memory_limits())
     if figures is not None:
         raise SetupError(
-            f"{name}: a plant of {organs:,} organs and up to {triangles:,} triangles needs {figures}; let its "
-            f"organs bear fewer others, or set {MEMORY} if the estimate is wrong"
+            f"{name}: a plant of {organs:,} organs and up to {triangles:,} triangles needs {figures}; "
+            f"let its organs bear fewer others, or set {MEMORY} if the estimate is wrong"
         )

@@ -150,9 +150,7 @@ class SceneBuilder:
         models = []
         for number in range(FAR_ROW_PLANTS):
             rng = random_generator(self.recipe.seed, Stream.FAR, 0, number)
-            plant = grow_in_memory(
-                self.cultivar, rng, lean=self.greenhouse.row_lean_rad, detail=FAR_DETAIL
-            )
+            plant = grow_in_memory(self.cultivar, rng, lean=self.greenhouse.row_lean_rad, detail=FAR_DETAIL)
             models.append(coarsen_plant(mesh_plant(plant, FAR_DETAIL)))
         return models
 

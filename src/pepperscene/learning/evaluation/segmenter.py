@@ -48,7 +48,8 @@ def predict_classes(
     for (rows, columns), probabilities in _probability_parts(model, colour):
         expected = (len(model.classes), *classes[rows, columns].shape)
         if probabilities.shape != expected:
-            raise InputError("model", f"gives probabilities of the shape {probabilities.shape}, not {expected}")
+            problem = f"gives probabilities of the shape {probabilities.shape}, not {expected}"
+            raise InputError("model", problem)
         if not np.isfinite(probabilities).all():
             raise InputError("model", "gives probabilities that are not finite numbers")
         if merging is not None:

@@ -54,7 +54,7 @@ def network_size(size: tuple[int, ...], width: int | None) -> tuple[int, int]:
 def probability_parts(
     module: nn.Module, colour: NDArray[np.uint8], width: int | None
 ) -> Iterator[tuple[Part, NDArray[np.float32]]]:
-    """Rows and columns of the parts of an image `(h, w, 3)`, and the probabilities `(k, rows, columns)` there.
+    """Rows and columns of parts of an image `(h, w, 3)`, and the probabilities `(k, rows, columns)` there.
 
     They are those of the whole image up to rounding, if the network sees no farther than `OVERLAP`.
 

@@ -10,7 +10,7 @@ from pepperscene.errors import ArgumentError
 
 
 def check_width(width: object, most: float) -> None:
-    """Raise `ArgumentError` unless a factor of the number of channels is a number above 0 and at most `most`."""
+    """Raise `ArgumentError` unless a factor of the number of channels is above 0 and at most `most`."""
     if not isinstance(width, int | float) or not 0 < width <= most:
         raise ArgumentError("model", f"width must be a number above 0 and at most {most:g}, not {width}")
 
