@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pepperscene.dataset.execution.memory import MEMORY, memory_limits, shortage
 from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.errors import SetupError
 
@@ -67,6 +66,7 @@ def grow_in_memory(
 
 def _check_fits(name: str, organs: int, triangles: int) -> None:
     """Raise `SetupError` if a plant of this size does not fit into memory."""
+    from pepperscene.dataset.execution.memory import MEMORY, memory_limits, shortage
     from pepperscene.render.memory import reserved_address_space
 
     needed = int(_PER_TRIANGLE * triangles + _PER_ORGAN * organs)
