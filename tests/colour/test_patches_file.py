@@ -12,6 +12,7 @@ from pepperscene import open_patches
 from pepperscene.camera import decode_tone, encode_tone
 from pepperscene.colour import delta_e_2000, linear_srgb_to_lab
 from pepperscene.colour.patches.chart import chart_linear
+from pepperscene.colour.patches.extraction import open_reflectances, read_reflectance
 from pepperscene.errors import InputError
 from pepperscene.spectra import read_spectrum
 
@@ -220,3 +221,11 @@ BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'
 def test_errors_name_key_and_allowed_values(pictures: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         open_patches(write_patches_file(pictures, text))
+
+
+def test_reflectances_need_no_provenance(tmp_path: Path) -> None:
+    table = tmp_path / "mine.csv"
+    table.write_text("wavelength_nm,a\n400,0.1\n700,0.5\n")
+    assert read_reflectance(table, "a", "leaf").name == "a"
+    table.with_suffix(".toml").write_text('[kinds]\na = "leaf"\n')
+    assert open_reflectances(table).kinds == ("leaf",)

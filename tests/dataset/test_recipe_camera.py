@@ -169,3 +169,16 @@ def test_limits_of_gains_and_matrix_are_those_of_the_camera():
         assert DevelopingTable(colour_matrix=matrix(entry)).colour_matrix == matrix(entry)
         with pytest.raises(ValueError, match="must be"):
             DevelopingTable(colour_matrix=matrix(1.01 * entry))
+
+
+def test_a_sensor_with_bands_and_no_flash_needs_no_white_balance():
+    bands = {
+        "camera.sensor": "micasense_rededge_mx",
+        "camera.lens": "micasense_rededge_mx",
+        "camera.flash": "none",
+    }
+    resolved = resolve_recipe("barth2018", bands)
+    assert resolved.camera.developing.white_balance == "daylight"
+    # A sensor with colours does.
+    with pytest.raises(InputError, match="white_balance"):
+        resolve_recipe("barth2018", {"camera.flash": "none"})

@@ -10,9 +10,12 @@ from processes import run_python
 
 from pepperscene.camera import Motion
 from pepperscene.dataset import resolve_recipe
-from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles, scene_triangles
+from pepperscene.dataset.recipe.plan import Stream, random_generator
+from pepperscene.dataset.scenes.plant_size import plant_triangles
+from pepperscene.dataset.scenes.scene_size import scene_triangles
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
-from pepperscene.geometry import compilation
+from pepperscene.geometry import compilation, mesh_plant
+from pepperscene.grammar import grow
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory, written_memory
 
@@ -130,7 +133,8 @@ def test_images_that_are_written_take_memory(camera):
 @pytest.mark.parametrize("cultivar", ["kaite", "kaite_february", "red_blocky", "tomato"])
 def test_bound_of_a_plants_triangles_holds(cultivar):
     model = resolve_recipe("barth2018", {"cultivar": cultivar}).cultivar
-    assert plant_triangles(model, 1) <= most_plant_triangles(model) <= 10 * plant_triangles(model, 1)
+    triangles = len(mesh_plant(grow(model, random_generator(1, Stream.PLANT, 0, 0))).faces)
+    assert triangles <= plant_triangles(model, 1) <= 1.3 * triangles
 
 
 def test_far_rows_are_counted(resolved):
@@ -147,7 +151,8 @@ from dataclasses import replace
 from pepperscene.dataset import FrameRenderer, resolve_recipe
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory
-from pepperscene.dataset.scenes.scene_size import plant_triangles, scene_triangles
+from pepperscene.dataset.scenes.plant_size import plant_triangles
+from pepperscene.dataset.scenes.scene_size import scene_triangles
 
 size, output = {size}, {output!r}
 renderer = FrameRenderer(resolve_recipe("demo", {{"row.plants_front": 3, "row.plants_back": 0}}))

@@ -6,7 +6,7 @@ import pytest
 
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
-from pepperscene.spectra import read_provenance, read_spectra, read_spectrum
+from pepperscene.spectra import Provenance, read_provenance, read_spectra, read_spectrum
 
 SHIPPED = sorted(shipped_folder("materials").rglob("*.csv"))
 LICENSED_FOLDERS = ("leaf", "fruit", "light", "organ", "chart")
@@ -99,3 +99,16 @@ def test_raises_on_missing_or_invalid_provenance(tmp_path):
     path.with_suffix(".toml").write_text('title = "x"\nsource = "y"\nlicence = "MIT"\nkind = "guess"\n')
     with pytest.raises(InputError, match="kind = 'guess'"):
         read_provenance(path)
+
+
+def test_provenance_of_a_users_file_may_leave_out_any_key(tmp_path):
+    path = write(tmp_path, "wavelength_nm,a\n400,1\n500,1\n")
+    path.with_suffix(".toml").write_text('title = "my lamp"\n', encoding="utf-8")
+    provenance = read_provenance(path)
+    assert (provenance.title, provenance.kind, provenance.licence) == ("my lamp", "measured", "")
+
+
+def test_the_page_lists_all_keys_of_provenance():
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "devices.md").read_text(encoding="utf-8")
+    section = page.partition("\n## Spectra\n")[2].partition("\n## ")[0]
+    assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == list(Provenance.model_fields)

@@ -6,6 +6,7 @@ import functools
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Final, NoReturn, ParamSpec, TypeVar
@@ -66,6 +67,10 @@ _CONFIGURATIONS: Final = {"matplotlibrc": "Matplotlib", ".numba_config.yaml": "N
 folder of compiled code that is loaded."""
 
 
+TRACEBACK: Final = "PEPPERSCENE_TRACEBACK"
+"""Environment variable: "1" for the traceback of system errors that no check has foreseen."""
+
+
 def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
     """Wrap a command so that foreseeable errors and signals give one line on standard error, no traceback."""
 
@@ -85,6 +90,9 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
                 echo_progress(f"error: {' '.join(message.split())}")
                 raise typer.Exit(EXIT_BAD_INPUT) from None
             except OSError as error:
+                # No check has foreseen it, so the user may need the place in the program.
+                if os.environ.get(TRACEBACK) == "1":
+                    traceback.print_exc()
                 echo_progress(f"error: {_describe_system_error(error)}")
                 raise typer.Exit(EXIT_BAD_INPUT) from None
             except (MemoryError, RuntimeError) as error:
@@ -121,8 +129,10 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 def _describe_system_error(error: OSError) -> str:
     """A system error that no check has foreseen, in words."""
-    problem = " ".join(str(error.strerror or error).split())
-    return problem if error.filename is None else f"{error.filename}: {problem}"
+    problem = " ".join(str(error.strerror or error).split()) or type(error).__name__
+    number = "" if error.errno is None else f", error {error.errno}"
+    where = "" if error.filename is None else f"{error.filename}: "
+    return f"{where}{problem} (a system error{number}; with {TRACEBACK}=1 it has a traceback)"
 
 
 def _show_version(requested: bool) -> None:

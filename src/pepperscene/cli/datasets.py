@@ -264,8 +264,9 @@ def _pixel_sizes(text: str | None) -> tuple[float, float] | None:
 
 
 def _write_figure(file: Path, content: bytes) -> None:
-    from pepperscene.dataset.store.atomic import atomic_write
+    from pepperscene.dataset.store.atomic import atomic_write, check_can_write
 
+    check_can_write(file.absolute().parent, [file.name])
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(file) as temporary:

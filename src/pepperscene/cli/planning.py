@@ -18,6 +18,7 @@ from pepperscene.cli.application import (
     RecipeArgument,
     SeedOption,
     SetOption,
+    TargetOption,
     app,
     handle_errors,
     parse_outputs,
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
 @handle_errors
 def plan(
     recipe: RecipeArgument = "demo",
+    frames: Annotated[
+        str | None,
+        typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: the recipe's."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -50,6 +55,7 @@ def plan(
     ] = True,
     outputs: OutputsOption = DEFAULTS,
     quality: QualityOption = "standard",
+    target_error: TargetOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
     allow_code: CodeOption = False,
@@ -63,8 +69,8 @@ def plan(
     names = parse_outputs(outputs)
     from pepperscene.dataset import BuildOptions
 
-    options = BuildOptions(quality=quality, seed=seed, workers=workers)
-    selected = select_frames(recipe, set, allow_code=allow_code)
+    options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
+    selected = select_frames(recipe, set, frames, allow_code=allow_code)
     describe_build(selected, names, options, json=json, probe=probe, out=out, poses=poses)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.cultivar import Cultivar, Distribution, Slot
+from pepperscene.errors import InputError
 from pepperscene.grammar.hashing import Addresses, FloatArray, child_addresses, name_number, uniforms
 from pepperscene.grammar.plant import Indices
 
@@ -20,6 +21,8 @@ _DEVIATION: Final = 0.125
 
 _ROUNDING: Final = 1e-9  # a smaller probability of nothing is rounding
 _MAX_ORGANS: Final = 200_000  # chosen: a hundred times those of a sweet pepper of 200 nodes
+_MAX_DRAWN: Final = 2_000_000
+"""Chosen: items that are drawn together, most of which may become nothing; they take about 250 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +201,7 @@ class TopologyBuilder:
 
     def __init__(self, cultivar: Cultivar, phytomers: Phytomers) -> None:
         self.organs, self.phytomers, self.node = cultivar.organs, phytomers, cultivar.stem.node
+        self.cultivar = cultivar.name
         self.limits = {
             name: model.depth for name, model in cultivar.organs.items() if model.depth is not None
         }
@@ -207,7 +211,7 @@ class TopologyBuilder:
         """Draw breadth first, so that a level's organs of one kind are drawn together.
 
         Raises:
-            ValueError: the plant has too many organs.
+            InputError: the plant has more than 200,000 organs.
         """
         level, groups = list(self._draw_node_items()), list[OrganGroup]()
         while level:
@@ -255,6 +259,11 @@ class TopologyBuilder:
     ) -> Iterator[OrganGroup]:
         """Organs in slot number `index` of organs of one kind, at `(n,)` azimuths, kind by kind."""
         kinds, slots = slot.kinds, child_addresses(parents.address, index)
+        # Items are counted before they are drawn, because their arrays may not fit into memory.
+        items = len(slots) * len(slot.at) * max(slot.count.numbers) * (2 if slot.pairs else 1)
+        if items > _MAX_DRAWN:
+            problem = f"draws up to {items:,} organs of a plant; at most {_MAX_DRAWN:,} are allowed"
+            raise InputError(self.cultivar, problem, key=f"organs.{parents.kind}.bears.{index}")
         row, address, at, rotation = slot_items(slot, slots, self.phytomers.positions[parents.phytomer])
         exhausted = np.zeros((len(slots), len(kinds)), dtype=bool)
         for column, (name, depth) in enumerate(self.limits.items()):
@@ -280,7 +289,8 @@ class TopologyBuilder:
         number = self.count + width * np.arange(row.size) + width - 1
         self.count += width * row.size
         if self.count > _MAX_ORGANS:
-            raise ValueError(f"the plant grows without end: more than {_MAX_ORGANS} organs with {name}")
+            problem = f"grows more than {_MAX_ORGANS:,} organs on a plant; its slots must bear fewer"
+            raise InputError(self.cultivar, problem, key=f"organs.{name}")
         depths = parents.depths[row]
         if name in self.limits:
             depths[:, list(self.limits).index(name)] += 1

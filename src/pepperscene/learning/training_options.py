@@ -15,7 +15,10 @@ SCHEDULES: Final = ("constant", "cosine")
 PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
 _SEEDS: Final = 2**32  # chosen: seeds times steps fit into the 64 bits of torch's generator
-_LEAST_SIDE: Final = 32  # chosen: two cells of the coarsest layer of the models
+LEAST_SIDE: Final = 32  # chosen: two cells of the coarsest layer of the models
+MOST_SIDE: Final = 8192  # chosen: a network takes some 20 GB for a square of that side
+_MOST_BATCH: Final = 4096  # chosen: far beyond the batches of such networks
+_MOST_STEPS: Final = 10**9  # chosen: years
 
 
 @dataclass(frozen=True)
@@ -73,14 +76,12 @@ class TrainingOptions:
         return filled
 
     def _check(self) -> None:
-        for name in ("steps", "batch", "validate"):
-            _require(name, getattr(self, name), getattr(self, name) >= 1, "1 or more")
-        _require(
-            "width", self.width, self.width is None or self.width >= _LEAST_SIDE, f"{_LEAST_SIDE} or more"
-        )
-        _require(
-            "size", self.size, min(self.size) >= _LEAST_SIDE, f"two numbers of pixels, {_LEAST_SIDE} or more"
-        )
+        for name, most in (("steps", _MOST_STEPS), ("batch", _MOST_BATCH), ("validate", _MOST_STEPS)):
+            _require(name, getattr(self, name), 1 <= getattr(self, name) <= most, f"1 to {most}")
+        sides = f"{LEAST_SIDE} to {MOST_SIDE}"
+        _require("width", self.width, self.width is None or LEAST_SIDE <= self.width <= MOST_SIDE, sides)
+        is_allowed = LEAST_SIDE <= min(self.size) <= max(self.size) <= MOST_SIDE
+        _require("size", self.size, is_allowed, f"two numbers of pixels, {sides}")
         rate = self.learning_rate
         _require("learning_rate", rate, rate is not None and math.isfinite(rate) and rate > 0, "above 0")
         _require("schedule", self.schedule, self.schedule in SCHEDULES, " or ".join(SCHEDULES))

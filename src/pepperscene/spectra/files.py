@@ -29,13 +29,13 @@ LEAST_PEAK: Final = 1e-30
 
 
 class Provenance(Document):
-    """Origin of a file of spectra."""
+    """Origin of a file of spectra. The shipped files have all keys; a user's own file may leave out any."""
 
-    title: str  # short description of the spectra
-    source: str  # publication and file that they were taken from
-    licence: str  # licence and its holder
+    title: str = ""  # short description of the spectra
+    source: str = ""  # publication and file that they were taken from
+    licence: str = ""  # licence and its holder
     # "standard" for agreed or retrieved reference tables, "MODEL" for modelled spectra.
-    kind: Literal["measured", "standard", "MODEL"]
+    kind: Literal["measured", "standard", "MODEL"] = "measured"
     unit: str = "1"  # of the values; "1" for reflectance and other ratios
     instrument: str = ""  # the measuring instrument, if known
     note: str = ""  # how the numbers were processed

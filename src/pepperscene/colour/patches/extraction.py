@@ -83,7 +83,7 @@ def open_reflectances(file: str | Path) -> PatchSet:
 def _read_kinds(path: Path) -> dict[str, str]:
     """Kinds of the columns in a CSV's TOML; the rest of the TOML must be valid provenance."""
     toml = path.with_suffix(".toml")
-    tables = read_toml(toml)
+    tables = read_toml(toml) if is_file(toml) else {}
     kinds = tables.pop(_KINDS, {})
     validate(Provenance, tables, toml)
     if not isinstance(kinds, dict):

@@ -17,7 +17,8 @@ from pepperscene.dataset.execution.memory import (
 from pepperscene.dataset.recipe.frame_values import frame_values
 from pepperscene.dataset.recipe.load_camera import load_camera
 from pepperscene.dataset.recipe.views_tables import RandomViews
-from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles, scene_triangles
+from pepperscene.dataset.scenes.plant_size import plant_triangles
+from pepperscene.dataset.scenes.scene_size import scene_triangles
 from pepperscene.errors import ArgumentError, PepperError, SetupError
 
 if TYPE_CHECKING:
@@ -62,18 +63,18 @@ def check_worker_memory(job: BuildJob, allowed: int | None = None) -> None:
 
 
 def process_memory(job: BuildJob, frames: int = 1) -> int:
-    """Bytes that one process takes at most to make frames of a job; a plant is grown for the estimate."""
-    triangles = scene_triangles(job.recipe, plant_triangles(job.recipe.cultivar, job.recipe.recipe.seed))
-    return _process_memory(job, triangles, frames)
+    """Bytes that one process takes at most to make frames of a job.
+
+    The plants of the first set are drawn for the estimate, but not built.
+    """
+    row = job.recipe.recipe.row
+    plants = row.plants_front + row.plants_back
+    largest = plant_triangles(job.recipe.cultivar, job.recipe.recipe.seed, plants)
+    return _process_memory(job, scene_triangles(job.recipe, largest), frames)
 
 
 def _check_limits(job: BuildJob, processes: int, frames: int, limits: tuple[MemoryLimit, ...]) -> None:
     if job.renderer is not None or not limits:
-        return
-    resolved = job.recipe
-    # An upper bound of the plants' size takes no time. A plant is grown only if that is too much.
-    bound = scene_triangles(resolved, most_plant_triangles(resolved.cultivar))
-    if _problem(job, _process_memory(job, bound, frames), processes, limits) is None:
         return
     problem = _problem(job, process_memory(job, frames), processes, limits)
     if problem is not None:

@@ -18,13 +18,20 @@ from pepperscene.dataset.export.job import DEPTH_OUTPUTS, ExportJob, OnFrame, im
 from pepperscene.dataset.export.selection import RIPE_FROM, Selection, parse_categories
 from pepperscene.dataset.export.splits import read_splits, shared_plants
 from pepperscene.dataset.recipe.plan import Plan
-from pepperscene.dataset.store.atomic import check_can_create, make_folder, remove
+from pepperscene.dataset.store.atomic import (
+    check_can_create,
+    make_folder,
+    remove,
+    remove_temporary_files,
+    temporary_path,
+)
 from pepperscene.dataset.store.crop import fruit_name
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.folder import LITTER
 from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
+from pepperscene.shipped import is_file, shipped_folder
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,7 @@ class ExportFormat:
 
 KEEP: Final = "keep"
 DROP: Final = "drop"
+_DEFAULT_QUALITY: Final = "standard"  # of a build
 """What is done with organs that the image border may cut."""
 
 _YOLO_KEYS: Final = (
@@ -234,11 +242,30 @@ def _check_outputs(dataset: Dataset, indices: Sequence[int], required: tuple[tup
     for alternatives in required:
         for index in indices:
             if not any(dataset.path(index, output).is_file() for output in alternatives):
-                output = alternatives[0]
-                recipe = shlex.quote(dataset.info["recipe"]["name"])
-                command = f"build {recipe} --out {shlex.quote(str(dataset.folder))} --outputs {output}"
-                problem = f"frame {index:06d} has no output {output!r}, which the format needs"
-                raise InputError(dataset.folder, f"{problem}; `pepperscene {command}` adds it")
+                problem = f"frame {index:06d} has no output {alternatives[0]!r}, which the format needs"
+                raise InputError(dataset.folder, f"{problem}; {_adding_command(dataset, alternatives[0])}")
+
+
+def _adding_command(dataset: Dataset, output: str) -> str:
+    """The command that adds an output to a data set, as the end of a sentence.
+
+    A data set does not hold the path of a user's recipe, nor the options that changed it.
+    """
+    info, recipe = dataset.info, str(dataset.info["recipe"]["name"])
+    others = ""
+    if not _is_shipped_recipe(recipe, info) or info.get("quality") != _DEFAULT_QUALITY:
+        recipe, others = "RECIPE", ", with the recipe and the options that the data set was built with"
+    command = f"build {recipe} --out {shlex.quote(str(dataset.folder))} --outputs {output}"
+    return f"`pepperscene {command}` adds it{others}"
+
+
+def _is_shipped_recipe(name: str, info: Mapping[str, Any]) -> bool:
+    """Whether a data set was built with the shipped recipe of a name, unchanged."""
+    from pepperscene.dataset.recipe.load import resolve_recipe
+
+    if not is_file(shipped_folder("recipes") / f"{name}.toml"):
+        return False
+    return dict(resolve_recipe(name).identity)["recipe"] == info["recipe"]
 
 
 @contextmanager
@@ -251,11 +278,11 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
     created: list[Path] = []
     try:
         _check_out(out, source)
-        name = f".{out.resolve().name}.{os.getpid()}.tmp"
-        temporary = out / name if out.is_dir() else out.absolute().with_name(name)
+        beside = temporary_path(out.absolute().with_name(out.resolve().name))
+        temporary = out / beside.name if out.is_dir() else beside
         try:
             make_folder(temporary.parent, created)
-            shutil.rmtree(temporary, ignore_errors=True)
+            remove_temporary_files(temporary.parent, f"{out.resolve().name}.")
             temporary.mkdir()
             yield temporary
             if hasattr(os, "sync"):
@@ -279,6 +306,10 @@ def _check_out(out: Path, source: Path) -> None:
     check_can_create(out)
     if out.resolve().is_relative_to(source.resolve()):
         raise OutputError(f"{out}: is inside the data set {source}; choose another folder")
-    content = sorted(path.name for path in out.iterdir() if path.name not in LITTER) if out.is_dir() else []
+    content: list[str] = []
+    if out.is_dir():
+        # Those of an export that was killed do not count.
+        remove_temporary_files(out)
+        content = sorted(path.name for path in out.iterdir() if path.name not in LITTER)
     if content:
         raise OutputError(f"{out}: holds {content[0]!r}; choose an empty or a new folder")

@@ -46,6 +46,8 @@ _OWN_KEY: Final = "recipe_sha256"
 """Key of `info` in exports of this package."""
 
 _MOST_INSTANCES: Final = np.iinfo(np.uint16).max
+_MOST_MASK_BYTES: Final = 500_000_000
+"""Chosen: of the masks of an image, eight pixels a byte: 65,535 masks of 250 x 250 pixels."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,28 @@ class CocoAnnotation:
     class_id: int
     is_crowd: bool
     segmentation: Any
+
+
+@dataclass(frozen=True, eq=False)
+class _PackedMask:
+    """The mask of an annotation.
+
+    Attributes:
+        box: its rows and columns.
+        bits: eight pixels of the box a byte.
+        area: number of its pixels.
+    """
+
+    box: tuple[slice, slice]
+    bits: NDArray[np.uint8]
+    area: int
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """`(h, w)` of the box."""
+        height, width = (side.stop - side.start for side in self.box)
+        pixels = np.unpackbits(self.bits, count=height * width)
+        return pixels.view(np.bool_).reshape(height, width)
 
 
 @dataclass(frozen=True)
@@ -152,12 +176,19 @@ class CocoSet(ImageSet):
     def _paint(self, item: CocoImage) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         classes = np.full(item.size, self.otherwise, np.uint8)
         instances = np.zeros(item.size, np.uint16)
-        parts = [self._decode(annotation, item) for annotation in item.annotations]
+        parts, packed = [], 0
+        for annotation in item.annotations:
+            parts.append(self._decode(annotation, item))
+            packed += parts[-1].bits.size
+            if packed > _MOST_MASK_BYTES:
+                problem = f"has annotations whose masks take more than {_MOST_MASK_BYTES // 10**6} MB"
+                raise InputError(self.source, problem, key=f"image {item.name}")
 
         # Crowds of different classes leave it open which one a pixel has.
         crowded = np.zeros(item.size, bool)
-        for annotation, (box, mask) in zip(item.annotations, parts, strict=True):
+        for annotation, part in zip(item.annotations, parts, strict=True):
             if annotation.is_crowd:
+                box, mask = part.box, part.mask
                 conflicts = mask & crowded[box] & (classes[box] != annotation.class_id)
                 classes[box][mask] = annotation.class_id
                 classes[box][conflicts] = VOID
@@ -169,17 +200,16 @@ class CocoSet(ImageSet):
             for annotation, part in zip(item.annotations, parts, strict=True)
             if not annotation.is_crowd
         ]
-        areas = [int(mask.sum()) for _, (_, mask) in objects]
+        areas = [part.area for _, part in objects]
         for number in sorted(range(len(objects)), key=lambda number: -areas[number]):
-            annotation, (box, mask) = objects[number]
+            annotation, part = objects[number]
+            box, mask = part.box, part.mask
             classes[box][mask] = annotation.class_id
             instances[box][mask] = 0 if annotation.class_id == VOID else number + 1
         return classes, instances
 
-    def _decode(
-        self, annotation: CocoAnnotation, item: CocoImage
-    ) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
-        """The rows and columns of an annotation, and its mask there: whole masks would fill the memory."""
+    def _decode(self, annotation: CocoAnnotation, item: CocoImage) -> _PackedMask:
+        """The mask of an annotation; whole masks would fill the memory."""
         try:
             mask = decode_segmentation(annotation.segmentation, item.size)
         except ValueError as error:
@@ -187,7 +217,7 @@ class CocoSet(ImageSet):
             raise InputError(self.source, str(error), key=key) from None
         left, top, right, bottom = mask_box(mask) or (0, 0, 0, 0)
         box = slice(top, bottom), slice(left, right)
-        return box, mask[box].copy()
+        return _PackedMask(box, np.packbits(mask[box]), int(mask.sum()))
 
 
 def coco_files(folder: Path) -> tuple[Path, ...]:

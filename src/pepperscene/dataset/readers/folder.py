@@ -20,7 +20,7 @@ from pepperscene.dataset.readers.labels import (
     parse_labels,
     read_labels,
 )
-from pepperscene.dataset.readers.pictures import MaskImage, photo_shape, read_mask, read_photo
+from pepperscene.dataset.readers.pictures import MaskImage, mask_shape, photo_shape, read_mask, read_photo
 from pepperscene.errors import ArgumentError, InputError
 
 # Words of file and folder names that mark images, class masks, and neither of the two.
@@ -165,11 +165,12 @@ class FolderSet(ImageSet):
     def _classes(self, pair: ImagePair) -> NDArray[np.uint8] | None:
         if pair.mask is None:
             return None
-        mask = read_mask(pair.mask)
-        if mask.shape != (shape := photo_shape(pair.image)):
-            sizes = f"has {_format_size(mask.shape)} pixels, but its image"
+        # From the headers alone, before a mask is decoded.
+        if (found := mask_shape(pair.mask)) != (shape := photo_shape(pair.image)):
+            sizes = f"has {_format_size(found)} pixels, but its image"
             sizes += f" {pair.image.name} has {_format_size(shape)}"
             raise InputError(pair.mask, f"{sizes}; masks are never resized")
+        mask = read_mask(pair.mask)
         ids = _class_ids(mask, self.labels, pair.mask)
         return ids if mask.opaque is None else np.where(mask.opaque, ids, np.uint8(VOID))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,6 +21,14 @@ _ORIENTATION: Final = 0x0112
 _FORMATS: Final = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 """Pillow's names of the formats that are read, whatever a file's suffix says. Pillow would otherwise choose
 any format by the content, and it starts another program, Ghostscript, for EPS."""
+
+MOST_PIXELS: Final = 120_000_000
+"""Chosen: of an image file; the largest common cameras have 102 million."""
+_LARGE_PHOTO: Final = 25_000_000
+"""Chosen: pixels above which a photograph's file must have a plausible size."""
+_PIXELS_PER_BYTE: Final = 50
+"""Chosen: most pixels of a large photograph for a byte of its file; cameras write 2 to 8, and a file that
+unpacks into one colour has hundreds."""
 
 _JPEG_FORMATS: Final = frozenset({"JPEG", "MPO"})  # Pillow reads a JPEG file of several images as MPO
 
@@ -60,6 +69,7 @@ def read_photo(path: Path) -> NDArray[np.uint8]:
     from PIL import Image, ImageOps
 
     with _open_image(path) as image:
+        _check_plausible(path, image.size)
         if image.mode.startswith(("I", "F")):
             raise InputError(path, "must be a photograph with 8 bits per channel")
         upright = ImageOps.exif_transpose(image)
@@ -75,6 +85,13 @@ def photo_shape(path: Path) -> tuple[int, int]:
         width, height = image.size
         # Orientations 5 to 8 swap rows and columns.
         return (width, height) if image.getexif().get(_ORIENTATION, 1) >= 5 else (height, width)
+
+
+def mask_shape(path: Path) -> tuple[int, int]:
+    """Height and width of a mask as `read_mask` returns it, from the file header alone."""
+    with _open_image(path) as image:
+        width, height = image.size
+        return height, width
 
 
 def read_mask(path: Path) -> MaskImage:
@@ -106,16 +123,42 @@ def _opaque_mask(alpha: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
     return None if opaque.all() else opaque
 
 
+def _check_plausible(path: Path, size: tuple[int, int]) -> None:
+    """Raise `InputError` for a large photograph whose file is too small to be one, before it is decoded."""
+    pixels, written = size[0] * size[1], path.stat().st_size
+    if pixels > max(_LARGE_PHOTO, _PIXELS_PER_BYTE * written):
+        raise InputError(
+            path,
+            f"has {size[0]} x {size[1]} pixels in {written:,} bytes, which no photograph has; above "
+            f"{_LARGE_PHOTO // 10**6} million pixels, at most {_PIXELS_PER_BYTE} may be in a byte",
+        )
+
+
+def _too_large(path: Path, found: str) -> InputError:
+    allowed = f"at most {MOST_PIXELS // 10**6} million are read: scale it down, or cut it into parts"
+    return InputError(path, f"has {found}; {allowed}")
+
+
 @contextmanager
 def _open_image(path: Path) -> Iterator[Any]:
-    """The file opened by Pillow, whose errors become `InputError`."""
+    """The file opened by Pillow, whose errors become `InputError`; nothing is decoded yet."""
     from PIL import Image
 
     try:
-        with open_file(path, "image") as file, Image.open(file, formats=_FORMATS) as image:
-            yield image
+        with open_file(path, "image") as file:
+            with warnings.catch_warnings():
+                # Its limit of pixels is replaced by that of this module.
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+                opened = Image.open(file, formats=_FORMATS)
+            with opened as image:
+                width, height = image.size
+                if width * height > MOST_PIXELS:
+                    raise _too_large(path, f"{width} x {height} pixels")
+                yield image
+    except Image.DecompressionBombError:
+        raise _too_large(path, "more pixels") from None
     except Image.UnidentifiedImageError:
         problem = f"cannot be read as an image (cannot identify image file {str(path)!r})"
         raise InputError(path, problem) from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError) as error:
         raise InputError(path, f"cannot be read as an image ({error})") from None

@@ -101,6 +101,9 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
         problem = f"must be beyond the focal length of {lens.name}, {1e3 * lens.focal_length_m:g} mm"
         raise InputError(where, problem, key="camera.focus_mm", value=table.focus_mm)
     steps = recipe.developing.model_dump()
+    if steps["white_balance"] == "flash" and flash is None and sensor.pattern == "bands":
+        # Bands are not balanced, so a recipe that extends one with a flash needs no other value.
+        steps["white_balance"] = "daylight"
     if steps["white_balance"] == "flash" and flash is None and sensor.channels > 1:
         problem = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
         raise InputError(where, problem, key="camera.flash", value=NONE)

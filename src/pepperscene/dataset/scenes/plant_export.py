@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pepperscene.dataset.execution.memory import MEMORY, memory_limits, report_memory_errors, shortage
 from pepperscene.dataset.recipe.plan import check_seed
-from pepperscene.dataset.scenes.scene_size import most_plant_triangles, plant_triangles
+from pepperscene.dataset.scenes.plant_size import plant_triangles
 from pepperscene.dataset.store.atomic import check_can_write, write_files
 from pepperscene.errors import ArgumentError, SetupError
 
@@ -142,8 +142,7 @@ def _check_memory(cultivar: Cultivar, seed: int, detail: float, suffix: str, *, 
     def missing(triangles: int) -> str | None:
         return shortage(int(fixed + per_triangle * triangles), reserved_address_space(), limits)
 
-    # A plant is grown to count its triangles only if an upper bound of their number does not fit.
-    if not limits or missing(most_plant_triangles(cultivar)) is None:
+    if not limits:
         return
     figures = missing(plant_triangles(cultivar, seed))
     if figures is not None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from pepperscene.dataset.recipe.plan import Stream, check_seed, random_generator
 from pepperscene.dataset.recipe.tables import TwineTable
+from pepperscene.dataset.scenes.plant_size import grow_in_memory
 from pepperscene.dataset.scenes.scene_worker import SceneWorker
 from pepperscene.dataset.subprocess_rpc import available_cores
 from pepperscene.errors import ArgumentError, InputError
@@ -124,9 +125,10 @@ def grow_plant_at(
         free_leaves: rotate leaves that cross each other; not needed where the row does so for all plants.
     """
     from pepperscene.geometry import mesh_plant, move_plant, resolve_contacts
-    from pepperscene.grammar import grow
 
-    plant = grow(cultivar, random_generator(seed, Stream.PLANT, *address), lean=lean_rad)
+    plant = grow_in_memory(
+        cultivar, random_generator(seed, Stream.PLANT, *address), lean=lean_rad, detail=detail
+    )
     mesh = mesh_plant(plant, detail)
     supported = mesh if add_support is None else add_support(plant, mesh)
     rng = random_generator(seed, Stream.SETTLE, *address)

@@ -12,6 +12,7 @@ import numpy as np
 from pepperscene.dataset.recipe.plan import Stream, random_generator, rotate_row
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import GreenhouseTable
+from pepperscene.dataset.scenes.plant_size import grow_in_memory
 from pepperscene.dataset.scenes.plants import (
     MIN_SHARED_PLANTS,
     PlacedPlant,
@@ -143,14 +144,13 @@ class SceneBuilder:
     def _far_models(self) -> list[Mesh]:
         """The coarse plants that far rows consist of, the same in every scene."""
         from pepperscene.geometry import mesh_plant
-        from pepperscene.grammar import grow
         from pepperscene.scene import coarsen_plant
         from pepperscene.scene.far_rows import FAR_ROW_PLANTS
 
         models = []
         for number in range(FAR_ROW_PLANTS):
             rng = random_generator(self.recipe.seed, Stream.FAR, 0, number)
-            plant = grow(self.cultivar, rng, lean=self.greenhouse.row_lean_rad)
+            plant = grow_in_memory(self.cultivar, rng, lean=self.greenhouse.row_lean_rad, detail=FAR_DETAIL)
             models.append(coarsen_plant(mesh_plant(plant, FAR_DETAIL)))
         return models
 

@@ -24,6 +24,7 @@ _TEMPORARY_NAME: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+
 _RANDOM_BYTES: Final = 8  # chosen: too many to guess the name before the file exists
 _LOCK_S: Final = 60.0  # chosen: longer than the tables of a million frames take, and no wait for ever
 _LOCK_INTERVAL_S: Final = 0.02  # chosen
+_IN_DATA_SETS: Final = ("dataset.json", "frames")  # by which the folder of a data set is known
 _LINE_LEVELS: Final = 2  # chosen: JSON levels with one entry per line, so that a diff shows which one changed
 
 
@@ -132,6 +133,50 @@ def remove(created: Iterable[Path]) -> None:
 
 
 @contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Make a folder, and hold it until the block ends; a folder that stays empty is removed.
+
+    Only where system and file system have locks for folders. A lock ends with its process.
+
+    Raises:
+        OutputError: another process is in this block for the same folder, or it cannot be made.
+    """
+    created: list[Path] = []
+    try:
+        make_folder(folder, created)
+        with _lock(folder):
+            yield
+    except OSError as error:
+        raise write_error(error, folder) from None
+    finally:
+        # Those with files stay.
+        remove(created)
+
+
+@contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder; raises `OutputError` if another process holds it."""
+    try:
+        import fcntl
+    except ImportError:
+        # Windows has no such locks.
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(f"{folder}: another process is writing to it; choose another folder") from None
+        except OSError:
+            # The file system has no locks.
+            pass
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
 def exclusive_access(folder: Path) -> Iterator[None]:
     """Wait until no other process is in this block for the same folder, at most a minute.
 
@@ -159,11 +204,19 @@ def exclusive_access(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def check_can_create(folder: Path) -> None:
-    """Raise `OutputError` if a folder cannot be made, or nothing can be written into it."""
+def check_can_create(folder: Path, *, is_data_set: bool = False) -> None:
+    """Raise `OutputError` if a folder cannot be made, or nothing can be written into it.
+
+    Args:
+        folder: which may be missing.
+        is_data_set: whether it is the folder of a data set that is built; other results are not written into
+            a data set.
+    """
     if "\0" in str(folder):
         raise OutputError(f"{str(folder)!r}: is not a valid folder name")
     try:
+        if not is_data_set:
+            _check_outside_data_sets(folder)
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"{folder}: is not a folder")
         parent = next(path for path in (folder, *folder.absolute().parents) if path.exists())
@@ -173,6 +226,14 @@ def check_can_create(folder: Path) -> None:
             raise OutputError(f"{folder}: is not writable")
     except OSError as error:
         raise OutputError(f"{folder}: cannot be used ({error.strerror})") from None
+
+
+def _check_outside_data_sets(folder: Path) -> None:
+    """Raise `OutputError` if a folder is that of a data set, or inside one."""
+    resolved = folder.resolve()
+    for path in (resolved, *resolved.parents):
+        if all((path / name).exists() for name in _IN_DATA_SETS):
+            raise OutputError(f"{folder}: is inside the data set {path}; choose another folder")
 
 
 def check_can_write(folder: Path, names: Iterable[str]) -> None:
@@ -229,11 +290,16 @@ def is_temporary(path: Path) -> bool:
     return path.name.startswith(".") and path.name.endswith(".tmp")
 
 
-def remove_temporary_files(folder: Path) -> None:
-    """Remove the temporary files and folders that killed builds left in a folder."""
+def remove_temporary_files(folder: Path, name: str = "") -> None:
+    """Remove the temporary files and folders that killed processes left in a folder.
+
+    Args:
+        folder: that holds them.
+        name: of the file or folder that they were to become; "" for any.
+    """
     for path in folder.iterdir():
         with suppress(FileNotFoundError):
-            if not is_temporary(path):
+            if not is_temporary(path) or not path.name.startswith(f".{name}"):
                 continue
             if path.is_dir() and not path.is_symlink():
                 # The folder with the key of a cluster. A running build does not touch it for hours.

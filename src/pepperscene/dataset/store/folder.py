@@ -80,7 +80,7 @@ class OutputFolder:
 
 def check_output_folder(folder: Path, info: Mapping[str, Any]) -> None:
     """Raise `OutputError` if a folder, which may be missing, cannot take the data set of a `dataset.json`."""
-    check_can_create(folder)
+    check_can_create(folder, is_data_set=True)
     try:
         if folder.exists():
             _check_content(folder, info)

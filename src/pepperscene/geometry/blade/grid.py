@@ -153,6 +153,20 @@ def blade_grid(detail: float, lobes: float, teeth: float | None = None) -> Grid:
         lobes: along a margin, those of palmate blades left out.
         teeth: along a margin of a palmate blade; None if there is no palmate blade.
     """
+    return _grid(*_grid_size(detail, lobes, teeth), palmate=teeth is not None)
+
+
+def most_blade_triangles(detail: float, lobes: float, teeth: float | None = None) -> int:
+    """An upper bound of the triangles of `blade_grid`, close to their number, without building it."""
+    fan, per_vein, side, pieces = _grid_size(detail, lobes, teeth)
+    rows = fan + per_vein * VEIN_PAIRS
+    # A disc of v vertices, b of them on its edge, has 2 v - b - 2 triangles.
+    edge = 2 * max(pieces, rows) + 2
+    return 2 * (2 * side - 1) * rows + 2 * rows + edge
+
+
+def _grid_size(detail: float, lobes: float, teeth: float | None) -> tuple[int, int, int, int]:
+    """Rows below the first vein and from vein to vein, columns in each half, and pieces of a margin."""
     # Margins stay fine where the inside is coarse, so that the outline is the same.
     margin_detail = min(1.0, 2.0 * detail)
     fan, per_vein = subdivisions(_FAN, detail, 3), subdivisions(_PER_VEIN, detail, 2 if detail >= 0.2 else 1)
@@ -160,13 +174,12 @@ def blade_grid(detail: float, lobes: float, teeth: float | None = None) -> Grid:
     if teeth is not None:
         side, pieces = _PALMATE_SIDE, max(_MARGIN, _PER_TOOTH * _TEETH_STEP * ceil(teeth / _TEETH_STEP))
     if lobes <= 0.0:
-        side, pieces = subdivisions(side, detail, 3), subdivisions(pieces, margin_detail, 16)
-        return _grid(fan, per_vein, side, pieces, palmate=teeth is not None)
+        return fan, per_vein, subdivisions(side, detail, 3), subdivisions(pieces, margin_detail, 16)
     # Every point of a lobe has its row, because the inside must follow it.
     rows = _PER_LOBE * lobes * max(min(1.0, 0.3 + 1.5 * detail), detail)
     fan, per_vein = max(fan, round(_BELOW * rows)), max(per_vein, round((1.0 - _BELOW) * rows / TIP_NUMBER))
     side, pieces = (_LOBED_SIDE, 1) if teeth is None else (side, subdivisions(pieces, margin_detail, 16))
-    return _grid(fan, per_vein, subdivisions(side, detail, 3), pieces, palmate=teeth is not None)
+    return fan, per_vein, subdivisions(side, detail, 3), pieces
 
 
 @lru_cache(maxsize=16)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.models.trained_model import TrainedModel
 
 
 class Segmenter(Protocol):
@@ -27,6 +29,9 @@ def predict_classes(
 ) -> NDArray[np.uint8]:
     """The most probable class of each pixel; of equal ones, the first.
 
+    A trained network is applied to an image above 12.5 million pixels in tiles of 2048 x 2048, each with 640
+    pixels around it, which is farther than the networks of this package see.
+
     Args:
         model: the model.
         colour: sRGB `(h, w, 3)`.
@@ -39,12 +44,29 @@ def predict_classes(
     Raises:
         InputError: the model's probabilities have another shape, or are not finite.
     """
-    probabilities = model.probabilities(colour)
-    expected = (len(model.classes), *colour.shape[:2])
-    if probabilities.shape != expected:
-        raise InputError("model", f"gives probabilities of the shape {probabilities.shape}, not {expected}")
-    if not np.isfinite(probabilities).all():
-        raise InputError("model", "gives probabilities that are not finite numbers")
-    if merging is not None:
-        probabilities = np.tensordot(merging, probabilities, axes=1)
-    return probabilities.argmax(axis=0).astype(np.uint8)
+    classes = np.empty(colour.shape[:2], np.uint8)
+    for (rows, columns), probabilities in _probability_parts(model, colour):
+        expected = (len(model.classes), *classes[rows, columns].shape)
+        if probabilities.shape != expected:
+            problem = f"gives probabilities of the shape {probabilities.shape}, not {expected}"
+            raise InputError("model", problem)
+        if not np.isfinite(probabilities).all():
+            raise InputError("model", "gives probabilities that are not finite numbers")
+        if merging is not None:
+            probabilities = np.tensordot(merging, probabilities, axes=1)
+        classes[rows, columns] = probabilities.argmax(axis=0)
+    return classes
+
+
+def _probability_parts(
+    model: Segmenter, colour: NDArray[np.uint8]
+) -> Iterator[tuple[tuple[slice, slice], NDArray[np.float32]]]:
+    """Rows and columns of the parts of an image, and the probabilities there; most images are one part."""
+    if isinstance(model, TrainedModel):
+        from pepperscene.learning.models.large_images import is_large, probability_parts
+
+        if is_large(colour, model.width):
+            model.module.eval()
+            yield from probability_parts(model.module, colour, model.width)
+            return
+    yield (slice(0, colour.shape[0]), slice(0, colour.shape[1])), model.probabilities(colour)

@@ -16,6 +16,7 @@ from torch import nn
 from torch.nn import functional
 
 from pepperscene.errors import ArgumentError, InputError
+from pepperscene.learning.models.layers import check_width
 from pepperscene.user_files import check_file
 
 _BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
@@ -27,6 +28,8 @@ _DEVIATION: Final = (0.229, 0.224, 0.225)
 
 _HEADS: Final = {128: (4, 4, 4096), 224: (3, 12, 1024)}
 """Kernel size, dilation and channels of the first fully connected layer, by its field of view in pixels."""
+
+_MOST_WIDTH: Final = 2.0  # chosen: 260 million weights
 
 
 @final
@@ -42,12 +45,13 @@ class DeepLab(nn.Module):
             images; "" to start from random weights.
 
     Raises:
-        ArgumentError: the field is another one.
+        ArgumentError: the field is another one, or the width is out of range.
         InputError: the file of weights cannot be read or does not fit.
     """
 
     def __init__(self, classes: int, field: int = 128, width: float = 1.0, weights: str = "") -> None:
         super().__init__()
+        check_width(width, _MOST_WIDTH)
         if field not in _HEADS:
             raise ArgumentError("model", f"field must be 128 or 224, not {field}")
         kernel, dilation, hidden = _HEADS[field]

@@ -6,6 +6,14 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from pepperscene.errors import ArgumentError
+
+
+def check_width(width: object, most: float) -> None:
+    """Raise `ArgumentError` unless a factor of the number of channels is above 0 and at most `most`."""
+    if not isinstance(width, int | float) or not 0 < width <= most:
+        raise ArgumentError("model", f"width must be a number above 0 and at most {most:g}, not {width}")
+
 
 def convolution(
     inputs: int, outputs: int, stride: int = 1, dilation: int = 1, *, rectified: bool = True

@@ -15,13 +15,14 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from pepperscene.learning.models.layers import convolution, join_finer, pad_to_multiple
+from pepperscene.learning.models.layers import check_width, convolution, join_finer, pad_to_multiple
 
 _CHANNELS: Final = (24, 32, 64, 96)
 """At a half, a quarter, an eighth and a sixteenth of the size. Chosen: 0.9 million weights, and about 2 GFLOP
 for an image of 400 x 300 pixels."""
 
 _SIXTEENTH: Final = 16
+_MOST_WIDTH: Final = 8.0  # chosen: 60 million weights, as many as the paper's network
 
 
 @final
@@ -31,10 +32,14 @@ class SmallNetwork(nn.Module):
     Args:
         classes: number of classes.
         width: factor of the number of channels.
+
+    Raises:
+        ArgumentError: the width is out of range.
     """
 
     def __init__(self, classes: int, width: float = 1.0) -> None:
         super().__init__()
+        check_width(width, _MOST_WIDTH)
         half, quarter, eighth, sixteenth = (max(8, round(width * channels / 8) * 8) for channels in _CHANNELS)
         self.stem = convolution(3, half, stride=2)
         self.quarter = nn.Sequential(convolution(half, quarter, stride=2), _Residual(quarter))

@@ -17,6 +17,7 @@ from pepperscene.dataset.store.atomic import write_file
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.model_names import MODELS, is_built_in
+from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.registry import build_model, without_initial_weights
 from pepperscene.learning.user_callable import user_errors
 from pepperscene.user_files import check_file
@@ -134,6 +135,7 @@ def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool
     if not file.is_file():
         raise InputError(file, "does not exist; `pepperscene train` writes it")
     tensors, description = read_weights(file, FORMAT)
+    description = check_description(file, description, ModelDescription)
     try:
         classes = ClassTable.parse(description["classes"])
         width, training = description["width"], description["training"]
@@ -196,7 +198,7 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
         with safe_open(check_file(file, "weights"), framework="pt") as content:
             description = json.loads((content.metadata() or {}).get("description", "{}"))
             tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, RecursionError) as error:
         raise InputError(file, f"cannot be read as safetensors ({' '.join(str(error).split())})") from None
     if not isinstance(description, dict) or description.get("format") != form:
         raise InputError(file, f"is not of the format {form!r}")

@@ -12,6 +12,7 @@ from torch import nn
 
 from pepperscene.dataset.store.atomic import write_file
 from pepperscene.errors import InputError, short_repr
+from pepperscene.learning.models.description import StateDescription, check_description
 from pepperscene.learning.models.trained_model import fill_module, read_weights, weights_as_bytes
 
 STATE_FILE: Final = "state.safetensors"
@@ -67,13 +68,13 @@ def read_state(
     """
     file = folder / STATE_FILE
     tensors, description = read_weights(file, FORMAT)
-    found = description.get("record", {})
+    description = check_description(file, description, StateDescription)
+    found = description["record"]
     check_record(file, found, record)
     weights = {name[len(_MODEL) :]: value for name, value in tensors.items() if name.startswith(_MODEL)}
     fill_module(module, weights, file)
+    step = description["step"]
     try:
-        step = int(description["step"])
-        state = TrainingState(step, description["best"], int(description["best_step"]), found)
         for name, parameter in module.named_parameters():
             if _FIRST + name in tensors:
                 # Moments have the memory format of their weights, as those that Adam makes.
@@ -84,7 +85,9 @@ def read_state(
                 }
     except KeyError as error:
         raise InputError(file, f"lacks {error}") from None
-    return state
+    except RuntimeError:
+        raise InputError(file, "holds moments that do not have the shapes of its weights") from None
+    return TrainingState(step, description["best"], description["best_step"], found)
 
 
 def check_record(file: Path, found: Any, record: Mapping[str, Any]) -> None:

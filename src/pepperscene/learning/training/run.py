@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.store.atomic import check_can_create, is_temporary, write_error
+from pepperscene.dataset.store.atomic import check_can_create, is_temporary, sole_writer, write_error
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.model_names import is_built_in
+from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.trained_model import (
     FORMAT,
     MODEL_FILE,
@@ -89,11 +90,12 @@ def train(
     _check_sets(sets, "sets")
     _check_sets(validation, "validation")
     record = _record(chosen, sets, validation, origin)
-    _check_folder(folder, resume, record)
+    check_can_create(folder)
     if validation:
         # Raises an error if they have no pixel of the classes.
         class_weights(validation, labels, 0.0)
-    with seeded(chosen.seed):
+    with sole_writer(folder), seeded(chosen.seed):
+        _check_folder(folder, resume, record)
         training = TrainingLoop(chosen, sets, labels, origin, device, record, allow_code=allow_code)
         try:
             training.run(folder, validation, workers, on_progress)
@@ -120,12 +122,9 @@ def _check_sets(sets: Sequence[ImageSet], where: str) -> None:
 
 
 def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None:
-    """Raise an error unless the folder is new, or holds this training and is to be resumed."""
+    """Raise an error unless the folder is empty, or holds this training and is to be resumed."""
     from pepperscene.learning.training.checkpoint import STATE_FILE, check_record
 
-    check_can_create(folder)
-    if not folder.is_dir():
-        return
     # A killed training can leave temporary files, which are removed later.
     names = {path.name for path in folder.iterdir() if not is_temporary(path)}
     if not names:
@@ -137,7 +136,7 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
     if STATE_FILE not in names:
         # The training was killed at its first checkpoint, or its state was removed. It starts anew.
         file = folder / MODEL_FILE
-        training = dict(read_weights(file, FORMAT)[1].get("training") or {})
+        training = check_description(file, read_weights(file, FORMAT)[1], ModelDescription)["training"]
         results = ("step", "validation_mean_iou")
         check_record(file, {key: training[key] for key in training if key not in results}, record)
 

@@ -1,0 +1,109 @@
+"""Where commands write: not into a data set; unforeseen system errors; the frames of `plan`."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import pytest
+
+from pepperscene.cli import building
+from pepperscene.dataset.store.atomic import check_can_create, check_can_write
+from pepperscene.errors import EXIT_BAD_INPUT, OutputError
+
+
+@pytest.fixture(scope="module")
+def data_set(tmp_path_factory):
+    """The folder of a data set, as far as other commands know one."""
+    folder = tmp_path_factory.mktemp("sets") / "set"
+    (folder / "frames").mkdir(parents=True)
+    (folder / "colour").mkdir()
+    (folder / "dataset.json").write_text("{}")
+    return folder
+
+
+def files_of(folder):
+    return sorted(str(path) for path in folder.rglob("*"))
+
+
+COMMANDS = {
+    "visibility": ("visibility", "demo", "--out", "{}/seen.parquet"),
+    "plan --out": ("plan", "demo", "--no-probe", "--out", "{}/plan.png"),
+    "plan --out DIR": ("plan", "demo", "--no-probe", "--out", "{}"),
+    "plan --poses": ("plan", "demo", "--no-probe", "--poses", "{}/poses.csv"),
+    "plan --poses DIR": ("plan", "demo", "--no-probe", "--poses", "{}/poses"),
+    "plant": ("plant", "kaite", "--out", "{}/plant.glb"),
+    "render": ("render", "demo", "--out", "{}"),
+    "render, inside": ("render", "demo", "--out", "{}/colour/one"),
+    "bench": ("bench", "--out", "{}/bench"),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("inside", ["", "/colour"])
+def test_commands_do_not_write_into_a_data_set(name, inside, data_set, command):
+    before = files_of(data_set)
+    result = command(*(word.format(f"{data_set}{inside}") for word in COMMANDS[name]))
+    assert result.exit_code == EXIT_BAD_INPUT, result.output
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert "data set" in result.stderr
+    assert files_of(data_set) == before
+
+
+def test_folders_of_all_commands_are_checked(data_set, tmp_path):
+    # All commands that write check their folder or their files with these functions.
+    for folder in (data_set, data_set / "new", data_set / "colour" / "deep" / "er"):
+        with pytest.raises(OutputError, match="the data set"):
+            check_can_create(folder)
+        with pytest.raises(OutputError, match="the data set"):
+            check_can_write(folder, ["a.txt"])
+    check_can_create(data_set, is_data_set=True)
+    check_can_create(data_set.parent / "beside")
+    # A link into a data set is one, too.
+    (tmp_path / "link").symlink_to(data_set)
+    with pytest.raises(OutputError, match="the data set"):
+        check_can_create(tmp_path / "link" / "new")
+    # A file of that name alone makes no data set.
+    (tmp_path / "dataset.json").write_text("{}")
+    check_can_create(tmp_path / "new")
+
+
+def test_plan_selects_frames_and_a_target_as_build_does(command):
+    result = command("plan", "demo", "--frames", "100:104", "--no-probe", "--target-error", "0.5", "--json")
+    assert result.exit_code == 0, result.output
+    assert '"selected": 4' in result.stdout
+    wrong = command("plan", "demo", "--frames", "5:2", "--no-probe")
+    assert wrong.exit_code == EXIT_BAD_INPUT
+    assert "--frames" in wrong.stderr
+    wrong = command("plan", "demo", "--target-error", "-1", "--no-probe")
+    assert wrong.exit_code == EXIT_BAD_INPUT
+    assert "--target-error" in wrong.stderr
+
+
+def fail(*_args, **_kwargs):
+    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), "/some/file")
+
+
+def test_a_system_error_names_its_number_and_file_and_has_a_traceback_on_demand(command, monkeypatch):
+    monkeypatch.setattr(building, "parse_outputs", fail)
+    monkeypatch.delenv("PEPPERSCENE_TRACEBACK", raising=False)
+    result = command("render", "demo", "--out", "out")
+    assert result.exit_code == EXIT_BAD_INPUT
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("error: /some/file: Too many open files")
+    assert str(int(errno.EMFILE)) in result.stderr
+    assert "PEPPERSCENE_TRACEBACK=1" in result.stderr
+    monkeypatch.setenv("PEPPERSCENE_TRACEBACK", "1")
+    result = command("render", "demo", "--out", "out")
+    assert result.exit_code == EXIT_BAD_INPUT
+    assert "Traceback (most recent call last)" in result.stderr
+    assert "in fail" in result.stderr
+
+
+def test_a_system_error_without_words_is_named(command, monkeypatch):
+    def fail_silently(*_args):
+        raise TimeoutError
+
+    monkeypatch.setattr(building, "parse_outputs", fail_silently)
+    assert command("render", "demo", "--out", "out").stderr.startswith("error: TimeoutError")

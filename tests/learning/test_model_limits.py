@@ -1,0 +1,157 @@
+"""Values of model files and of the model's options are checked before anything is built from them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from painted_bands import write_bands
+from PIL import Image
+from typer.testing import CliRunner
+
+from pepperscene.cli import app
+from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError
+from pepperscene.learning.class_table import ClassTable
+
+torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
+pytest.importorskip("safetensors", reason="the extra `learn` installs safetensors")
+
+from pepperscene.learning.evaluation.segmenter import predict_classes  # noqa: E402
+from pepperscene.learning.models import TrainedModel, build_model, large_images, load_model  # noqa: E402
+from pepperscene.learning.models.trained_model import weights_as_bytes  # noqa: E402
+
+MODEL = "small,width=0.3"
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """A network with random weights and statistics."""
+    torch.manual_seed(0)
+    module = build_model(MODEL, 8)
+    for layer in module.modules():
+        if isinstance(layer, torch.nn.BatchNorm2d):
+            layer.running_mean.uniform_(-0.1, 0.1)
+            layer.running_var.uniform_(0.5, 1.5)
+    return TrainedModel(module, MODEL, ClassTable.organs(), None, {"step": 1, "validation_mean_iou": None})
+
+
+@pytest.fixture
+def write_model(trained, tmp_path):
+    """Write a model file with other values in its description; `...` leaves a key out."""
+
+    def write(**changes):
+        description = {**trained.description(), **changes}
+        content = {key: value for key, value in description.items() if value is not ...}
+        (tmp_path / "model.safetensors").write_bytes(weights_as_bytes(trained.module.state_dict(), content))
+        return tmp_path
+
+    return write
+
+
+WRONG = [
+    ("width", -5), ("width", "abc"), ("width", 1e8), ("width", 10**8), ("width", True),
+    ("width", float("nan")),
+    ("width", [400]), ("width", 0), ("width", ...), ("classes", "leaf"), ("classes", 5), ("classes", None),
+    ("classes", "x" * 5000), ("classes", ...), ("training", "abc"), ("training", ["a"]), ("training", None),
+    ("training", ...), ("model", 7), ("model", "small,width=100000"), ("model", "small,width=nan"),
+    ("model", "small,width=-1"), ("model", "small,width=inf"), ("model", ""), ("model", None), ("other", 1),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "value"), WRONG, ids=lambda value: str(value)[:20])
+def test_a_wrong_value_of_a_model_file_is_one_sentence(write_model, key, value):
+    folder = write_model(**{key: value})
+    Image.new("RGB", (64, 48)).save(folder / "photo.png")
+    arguments = ["predict", str(folder), str(folder / "photo.png"), "--out", str(folder / "out")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == EXIT_BAD_INPUT, result.output
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert "model.safetensors" in result.stderr
+    assert len(result.stderr) < 1000
+    assert not (folder / "out").exists()
+
+
+def test_a_description_that_is_nested_without_end_is_one_sentence(write_model, trained, monkeypatch):
+    monkeypatch.setattr(json, "dumps", lambda *_args, **_keys: "[" * 100_000)
+    folder = write_model()
+    with pytest.raises(InputError, match="cannot be read as safetensors"):
+        load_model(folder)
+
+
+def test_a_valid_model_file_is_read(write_model, trained):
+    for width in (None, 400):
+        assert load_model(write_model(width=width)).width == width
+
+
+@pytest.mark.parametrize("model", ["small", "deeplab_vgg16"])
+@pytest.mark.parametrize("width", ["100000", "1e300", "0", "-1", "nan", "inf", "wide"])
+def test_widths_of_networks_are_bounded(model, width):
+    with pytest.raises(ArgumentError, match="width must be a number above 0 and at most"):
+        build_model(f"{model},width={width}", 8)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--width", "100000000", "32 to 8192"),
+        ("--size", "9000x64", "32 to 8192"),
+        ("--batch", "100000", "1 to 4096"),
+    ],
+)
+def test_options_of_a_training_are_bounded(tmp_path, option, value, message):
+    arguments = [
+        "train",
+        str(write_bands(tmp_path / "set", 1)),
+        "--out",
+        str(tmp_path / "out"),
+        option,
+        value,
+    ]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == EXIT_BAD_INPUT, result.output
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("key", "value"), [("step", -1), ("step", "a"), ("best", "a"), ("record", [])])
+def test_a_wrong_value_of_a_training_state_is_one_sentence(trained, tmp_path, key, value):
+    from pepperscene.learning.training.checkpoint import FORMAT, STATE_FILE, read_state
+
+    description = {"format": FORMAT, "step": 1, "best": None, "best_step": 1, "record": {}, key: value}
+    content = weights_as_bytes({f"model.{k}": v for k, v in trained.module.state_dict().items()}, description)
+    (tmp_path / STATE_FILE).write_bytes(content)
+    optimiser = torch.optim.Adam(trained.module.parameters())
+    with pytest.raises(InputError, match=rf"{STATE_FILE}: {key}"):
+        read_state(tmp_path, trained.module, optimiser, {})
+
+
+def test_tiles_give_the_probabilities_of_the_whole_image(trained, monkeypatch):
+    colour = np.random.default_rng(0).integers(0, 256, (70, 1500, 3), np.uint8)
+    whole = trained.probabilities(colour)
+    monkeypatch.setattr(large_images, "MOST_WHOLE", 20_000)
+    monkeypatch.setattr(large_images, "TILE", 256)
+    tiled = np.full_like(whole, np.nan)
+    for (rows, columns), part in large_images.probability_parts(trained.module, colour, None):
+        tiled[:, rows, columns] = part
+    assert np.abs(tiled - whole).max() < 1e-6
+    assert (predict_classes(trained, colour) == whole.argmax(axis=0)).mean() > 0.9999
+
+
+def test_strips_give_the_probabilities_of_the_scaled_image(trained, monkeypatch):
+    colour = np.random.default_rng(1).integers(0, 256, (211, 307, 3), np.uint8)
+    model = TrainedModel(trained.module, MODEL, trained.classes, 64)
+    whole = model.probabilities(colour)
+    monkeypatch.setattr(large_images, "MOST_WHOLE", 1000)
+    monkeypatch.setattr(large_images, "_STRIP", 5000)
+    strips = np.full_like(whole, np.nan)
+    for (rows, columns), part in large_images.probability_parts(trained.module, colour, 64):
+        strips[:, rows, columns] = part
+    assert np.abs(strips - whole).max() < 1e-6
+
+
+def test_an_image_that_would_be_enlarged_beyond_all_bounds_is_refused(trained):
+    model = TrainedModel(trained.module, MODEL, trained.classes, 8192)
+    with pytest.raises(InputError, match=r"1 x 30000 pixels, and 8192 x 245760000 at the model's width"):
+        predict_classes(model, np.zeros((30_000, 1, 3), np.uint8))
