@@ -152,12 +152,15 @@ class Mesh:
         """Return the mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres.
 
         Raises:
-            ValueError: the matrix is not a rotation; mirroring or scaling would spoil windings and normals.
+            ValueError: the matrix is not a rotation; mirroring or scaling would spoil windings and normals. Or
+                the translation has not three coordinates.
         """
-        matrix = np.asarray(rotation, dtype=float)
+        matrix, shift = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
+        if matrix.shape != (3, 3) or shift.shape != (3,):
+            raise ValueError(f"rotation must be (3, 3) and translation (3,), not {matrix.shape}, {shift.shape}")
         if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) and np.linalg.det(matrix) > 0.0):
             raise ValueError("rotation must be orthogonal, with determinant 1")
-        vertices = _transform(self.vertices, matrix, np.asarray(translation, dtype=float))
+        vertices = _transform(self.vertices, matrix, shift)
         return replace(self, vertices=vertices, normals=_transform(self.normals, matrix, np.zeros(3)))
 
     def select_instances(self, chosen: Sequence[int]) -> Mesh:
