@@ -81,14 +81,18 @@ def test_edges_of_yolo_boxes_are_inside_the_picture():
 
 
 def test_rounding_of_truth_leaves_points_in_the_picture():
-    camera = Camera(load_lens("realsense_d435_infrared"), load_sensor("realsense_d435_infrared").with_size(8, 6))
+    camera = Camera(
+        load_lens("realsense_d435_infrared"), load_sensor("realsense_d435_infrared").with_size(8, 6)
+    )
     matrix, nearly = camera.intrinsics, np.array([8 - 2e-4, 6 - 3e-4])
     point = np.append((nearly - matrix[:2, 2]) / matrix[[0, 1], [0, 1]], 1.0)
     pose = np.eye(4)
     pose[:3, 3] = point
     instance = Instance(OrganClass.PEPPER, "fruit")
     measures = dict.fromkeys(("ripeness", "ripeness_spread", "length_m", "diameter_m"), 0.1)
-    fruit = FruitTruth(0, instance, pose, -np.ones(3) / 10, np.ones(3) / 10, measures, point, (0,), None, None)
+    fruit = FruitTruth(
+        0, instance, pose, -np.ones(3) / 10, np.ones(3) / 10, measures, point, (0,), None, None
+    )
     view = LabelView(camera, np.ones((6, 8), np.uint16), np.ones((6, 8), np.float32))
     mask = AmodalMask((0, 0), np.ones((6, 8), bool))
     (entry,) = harvest_truth([(fruit, mask)], view, [instance])["fruit"]

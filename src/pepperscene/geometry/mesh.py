@@ -162,7 +162,9 @@ class Mesh:
         """
         matrix, shift = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
         if matrix.shape != (3, 3) or shift.shape != (3,):
-            raise ValueError(f"rotation must be (3, 3) and translation (3,), not {matrix.shape}, {shift.shape}")
+            raise ValueError(
+                f"rotation must be (3, 3) and translation (3,), not {matrix.shape}, {shift.shape}"
+            )
         if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) and np.linalg.det(matrix) > 0.0):
             raise ValueError("rotation must be orthogonal, with determinant 1")
         vertices = _transform(self.vertices, matrix, shift)

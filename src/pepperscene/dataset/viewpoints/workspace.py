@@ -94,7 +94,9 @@ class SphereWorkspace(Workspace):
 
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:
         """`(n,)` whether points are inside; its surface is a part of it."""
-        return np.asarray(np.linalg.norm(as_points(points) - np.array(self.centre_m), axis=1) <= self.radius_m)
+        return np.asarray(
+            np.linalg.norm(as_points(points) - np.array(self.centre_m), axis=1) <= self.radius_m
+        )
 
 
 @dataclass(frozen=True)
