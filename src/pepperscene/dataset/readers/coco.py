@@ -146,7 +146,8 @@ class CocoSet(ImageSet):
         shape = photo_shape(item.file)
         # Without marks, either size is right.
         exif = self.exif if marked and item.annotations else "displayed" if shape == item.size else "stored"
-        orientation = mark_orientation(item.size, item.file, exif, self.source)
+        # Label Studio writes the stored size, but marks the displayed picture (its issue 6608).
+        orientation = mark_orientation(item.size, item.file, exif, self.source, by_size=False)
         if orientation is None:
             sizes = f"{shape[1]}x{shape[0]} pixels, but {self.source.name} says {item.size[1]}x{item.size[0]}"
             raise InputError(item.file, f"has {sizes}")

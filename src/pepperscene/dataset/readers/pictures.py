@@ -105,7 +105,9 @@ def photo_shape(path: Path) -> tuple[int, int]:
         return _displayed((height, width), _orientation(image))
 
 
-def mark_orientation(shape: tuple[int, int], photo: Path, exif: Exif | None, where: Path) -> int | None:
+def mark_orientation(
+    shape: tuple[int, int], photo: Path, exif: Exif | None, where: Path, *, by_size: bool = True
+) -> int | None:
     """EXIF orientation by which the marks on a photograph must be turned, so that they are on its objects.
 
     1 for marks of the displayed photograph, as `read_photo` returns it; the photograph's orientation for
@@ -116,12 +118,13 @@ def mark_orientation(shape: tuple[int, int], photo: Path, exif: Exif | None, whe
         photo: its file.
         exif: which of the two it was; None if only the sizes can tell.
         where: the file of the marks, for messages.
+        by_size: whether the stored size shows that the stored pixels were marked.
 
     Returns:
         None if the photograph has another size.
 
     Raises:
-        InputError: both have this size, but differ, and `exif` is None.
+        InputError: `exif` is None, and the size does not show which it was.
     """
     with _open_image(photo) as image:
         width, height = image.size
@@ -133,7 +136,7 @@ def mark_orientation(shape: tuple[int, int], photo: Path, exif: Exif | None, whe
     fitting = [name for name in (("displayed", "stored") if exif is None else (exif,)) if sizes[name] == shape]
     if not fitting:
         return None
-    if orientation != 1 and len(fitting) == 2:
+    if orientation != 1 and exif is None and (len(fitting) == 2 or (fitting == ["stored"] and not by_size)):
         problem = f"may mark {photo.name} as displayed or as stored, before its EXIF orientation {orientation}"
         raise InputError(where, f'{problem}; say which with {EXIF_KEY} = "displayed" or "stored"')
     return orientation if fitting[0] == "stored" else 1
