@@ -129,7 +129,7 @@ class Skeleton:
 def instance_fingerprints(mesh: Mesh, count: int) -> NDArray[np.uint64]:
     """`(count,)` sums over the triangles of the first instances, which differ if a corner does; 0 for none.
 
-    They do not depend on the numbers and the order of vertices and triangles. 1 million triangles take 30 ms.
+    They do not depend on the numbers and the order of vertices and triangles. 1 million triangles take 0.1 s.
     """
     x, y, z = np.ascontiguousarray(mesh.vertices, np.float32).view(np.uint32).T.astype(np.uint64)
     corner = (x * _MIXERS[0]) ^ (y * _MIXERS[1]) ^ (z * _MIXERS[2])
