@@ -97,7 +97,7 @@ def test_the_folder_says_what_its_masks_mark(orientation, tmp_path):
     (tmp_path / "classes.toml").write_text('0 = "background"\n1 = "pepper"\nexif = "stored"\n')
     check_on_object(open_images(tmp_path)[0])
     (tmp_path / "classes.toml").write_text('0 = "background"\n1 = "pepper"\nexif = "raw"\n')
-    with pytest.raises(InputError, match="exif = 'raw': must be \"displayed\" or \"stored\""):
+    with pytest.raises(InputError, match='exif = \'raw\': must be "displayed" or "stored"'):
         open_images(tmp_path)
 
 

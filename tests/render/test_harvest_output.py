@@ -216,9 +216,7 @@ def test_an_edited_mesh_has_no_harvest_truth(way, change, form, plant, scene):
     """The poses of its organs, which did not move, are not those of its triangles."""
     instance = scene.skeleton.of_form(form)[-1]
     mesh = edited(scene.mesh, instance, change)
-    other = (
-        replace(scene, mesh=mesh) if way == "replace" else assemble_scene(mesh, skeleton=scene.skeleton)
-    )
+    other = replace(scene, mesh=mesh) if way == "replace" else assemble_scene(mesh, skeleton=scene.skeleton)
     renderer = Renderer(other)
     message = rf"scene: has moved or changed triangles of 1 instances, first {instance}, a .*skeleton did not"
     with pytest.raises(InputError, match=message):

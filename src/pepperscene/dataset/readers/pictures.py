@@ -133,11 +133,15 @@ def mark_orientation(
         "displayed": _displayed((height, width), orientation),
         "stored": (height, width),
     }
-    fitting = [name for name in (("displayed", "stored") if exif is None else (exif,)) if sizes[name] == shape]
+    fitting = [
+        name for name in (("displayed", "stored") if exif is None else (exif,)) if sizes[name] == shape
+    ]
     if not fitting:
         return None
     if orientation != 1 and exif is None and (len(fitting) == 2 or (fitting == ["stored"] and not by_size)):
-        problem = f"may mark {photo.name} as displayed or as stored, before its EXIF orientation {orientation}"
+        problem = (
+            f"may mark {photo.name} as displayed or as stored, before its EXIF orientation {orientation}"
+        )
         raise InputError(where, f'{problem}; say which with {EXIF_KEY} = "displayed" or "stored"')
     return orientation if fitting[0] == "stored" else 1
 
