@@ -1,9 +1,9 @@
 """Depth of what is nearer than a depth camera can measure: holes, except where alignment looks past it.
 
 The nearest depth is focal length times baseline over the disparities that are compared. A card is nearer, in
-front of a plane. In the pixels of the left imager the card is a hole. From a camera beside it, the imager sees
-the plane past the card's edge, and alignment, which knows nothing of the card, puts that depth onto the card,
-as librealsense does: https://github.com/IntelRealSense/librealsense/issues/2445.
+front of a plane. In the pixels of the left imager the card is a hole. From a camera beside it, the imager
+sees the plane past the card's edge, and alignment, which knows nothing of the card, puts that depth onto the
+card, as librealsense does: https://github.com/IntelRealSense/librealsense/issues/2445.
 """
 
 from __future__ import annotations

@@ -19,7 +19,6 @@ from pepperscene.materials import Surface
 from pepperscene.scene.row import rotation_about_z
 from pepperscene.scene.sky import Sky
 
-
 _MIXERS: Final = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 """Odd factors of SplitMix64 (Steele, Lea & Flood 2014, "Fast splittable pseudorandom number generators")."""
 
