@@ -158,13 +158,12 @@ class Mesh:
 
         Raises:
             ValueError: the matrix is not a rotation; mirroring or scaling would spoil windings and normals. Or
-                the translation has not three coordinates.
+                the translation does not have three coordinates.
         """
         matrix, shift = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
         if matrix.shape != (3, 3) or shift.shape != (3,):
-            raise ValueError(
-                f"rotation must be (3, 3) and translation (3,), not {matrix.shape}, {shift.shape}"
-            )
+            shapes = f"{matrix.shape} and {shift.shape}"
+            raise ValueError(f"rotation must be (3, 3) and translation (3,), not {shapes}")
         if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) and np.linalg.det(matrix) > 0.0):
             raise ValueError("rotation must be orthogonal, with determinant 1")
         vertices = _transform(self.vertices, matrix, shift)

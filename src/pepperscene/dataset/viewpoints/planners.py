@@ -63,8 +63,8 @@ def compare_planners(
         draws: number of random sequences.
 
     Raises:
-        ArgumentError: poses have another shape, there are fewer candidates than poses of the arc, there is no such fruit, or the draws
-            are less than 1.
+        ArgumentError: poses have another shape, there are fewer candidates than poses of the arc, there is
+            no such fruit, or the draws are less than 1.
     """
     of_arc = as_poses(arc, "arc")
     poses = as_poses(candidates, "candidates")

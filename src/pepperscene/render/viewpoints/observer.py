@@ -108,7 +108,8 @@ class FruitObserver:
             on_progress: called after each part of the poses.
 
         Raises:
-            ArgumentError: there are no poses, they have another shape, or one is not a rotation and a translation.
+            ArgumentError: there are no poses, they have another shape, or one is not a rotation and a
+                translation.
         """
         poses = as_poses(poses)
         try:
