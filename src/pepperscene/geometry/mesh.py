@@ -157,7 +157,7 @@ class Mesh:
         """Return the mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres.
 
         Raises:
-            ValueError: the matrix is not a rotation (mirroring or scaling would spoil windings and normals), or
+            ValueError: the matrix is not a rotation (scaling or mirroring would spoil normals), or
                 the translation does not have three coordinates.
         """
         matrix, shift = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
