@@ -15,7 +15,7 @@ from pepperscene.dataset import FrameRenderer, grow_plant, load_recipe
 from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.dataset.recipe.tables import TwineTable
 from pepperscene.dataset.scenes.plants import PROCESSES, PlantFactory, make_plants, plant_processes
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.grammar import grow
 from pepperscene.scene import Greenhouse
 
@@ -177,3 +177,10 @@ def test_number_of_processes_is_argument_then_environment_then_default(monkeypat
         plant_processes()
     monkeypatch.delenv(PROCESSES)
     assert plant_processes() in (1, 2)
+
+
+@pytest.mark.parametrize("processes", [0, 3, "2", "many"])
+def test_a_wrong_argument_is_not_blamed_on_the_environment(processes, monkeypatch):
+    monkeypatch.setenv(PROCESSES, "1")
+    with pytest.raises(ArgumentError, match=f"^processes: must be 1 or 2, not {processes}$"):
+        plant_processes(processes)

@@ -11,9 +11,11 @@ import pytest
 import trimesh
 
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
-from pepperscene.errors import InputError
-from pepperscene.geometry import concatenate_meshes, rectangle, sphere
+from pepperscene.cultivar import load_cultivar
+from pepperscene.errors import ArgumentError, InputError
+from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
 from pepperscene.geometry.export import FORMATS, check_mesh_format, mesh_files, organ_names, write_mesh
+from pepperscene.grammar import grow
 
 LEAF_COLOURS = {"leaf": np.array([[0.2, 0.3, 0.1], [0.02, 0.05, 0.01]])}
 NAMES = ("leaf_blade_0_node_3", "fruit_0_node_7", "fruit_1_node_9", "twine_0")
@@ -177,3 +179,58 @@ def test_raises_on_unknown_suffix(name):
 
 def test_suffix_may_be_in_capitals():
     assert check_mesh_format("PLANT.GLB") == ".glb"
+
+
+# --- natural colours ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tomato():
+    return mesh_plant(grow(load_cultivar("tomato"), np.random.default_rng(3)), 0.2)
+
+
+def base_colours(content):
+    """Linear RGB `(3,)` of the materials of a GLB by name."""
+    size = struct.unpack("<I", content[12:16])[0]
+    materials = json.loads(content[20 : 20 + size])["materials"]
+    return {one["name"]: np.array(one["pbrMetallicRoughness"]["baseColorFactor"][:3]) for one in materials}
+
+
+@pytest.fixture(scope="module")
+def natural(tomato):
+    """Colours of a mesh of two plants, one of them without some organs, and twine."""
+    band = rectangle((0.0, 0.0, 0.5), (0.01, 0.0, 0.0), (0.0, 0.0, 1.0), "twine", OrganClass.WIRE)
+    leaves = np.flatnonzero(tomato.instance_class == OrganClass.LEAF)
+    part = tomato.moved(np.eye(3), np.ones(3)).with_plant(3).without_triangles(leaves[-1:])
+    fruit = tomato.select_instances(np.flatnonzero(tomato.instance_class == OrganClass.PEPPER))
+    return base_colours(mesh_files(concatenate_meshes([tomato, part, fruit, band]), "a.glb")["a.glb"])
+
+
+def test_grown_plants_have_their_natural_colours(natural):
+    for surface in ("leaf", "stem"):
+        found = [rgb for name, rgb in natural.items() if name.startswith(f"{surface}_")]
+        assert found
+        assert all(rgb.argmin() == 2 for rgb in found), "leaves are not blue, nor stems pink"
+    ripest = max((name for name in natural if name.startswith("fruit_")), key=lambda name: int(name[6:]))
+    assert natural[ripest][0] > 2 * natural[ripest][1], "ripe fruit is red"
+    twine = next(rgb for name, rgb in natural.items() if name.startswith("twine_"))
+    assert twine.min() > 0.3, "twine is white"
+
+
+def test_natural_colours_are_those_of_the_cultivar(tomato, natural):
+    other = mesh_plant(grow(load_cultivar("orange_pointed"), np.random.default_rng(3)), 0.1)
+    orange = base_colours(mesh_files(other, "a.glb")["a.glb"])
+    assert any(np.abs(orange[name] - natural[name]).max() > 0.02 for name in orange.keys() & natural.keys())
+    both = concatenate_meshes([tomato, other])
+    with pytest.raises(ArgumentError, match='colours: must be "class" or a table for a mesh with plants of'):
+        mesh_files(both, "a.glb")
+    assert base_colours(mesh_files(both, "a.glb", "class")["a.glb"])
+
+
+def test_class_colours_are_given_on_request(tomato):
+    colours = base_colours(mesh_files(tomato, "a.glb", "class")["a.glb"])
+    stem = next(rgb for name, rgb in colours.items() if name.startswith("stem_"))
+    expected = (np.array(CLASS_COLOURS[OrganClass.STEM]) / 255.0) ** 2.2
+    np.testing.assert_allclose(stem, expected, atol=0.02)
+    with pytest.raises(ArgumentError, match='colours: must be "natural", "class" or a table'):
+        mesh_files(tomato, "a.glb", "classes")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from pepperscene.learning.evaluation.evaluate import evaluate
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 safetensors = pytest.importorskip("safetensors.torch", reason="the extra `learn` installs safetensors")
+from safetensors import safe_open  # noqa: E402
 
 from pepperscene.learning.models import load_model  # noqa: E402
 from pepperscene.learning.training import train  # noqa: E402
@@ -250,6 +252,43 @@ def test_validation_chooses_the_best_state(tmp_path, monkeypatch):
     results = iter([0.3, 0.8, 0.8, 0.5])
     longer = train(images, tmp_path / "c", replace(constant, steps=8), validation=images)
     assert all((weights_of(longer)[name] == value).all() for name, value in weights_of(shorter).items())
+
+
+@pytest.mark.parametrize(
+    ("results", "step", "best"),
+    [
+        ([math.nan, 0.3, 0.8, 0.5], 6, 0.8),
+        ([0.3, math.nan, 0.2, math.nan], 2, 0.3),
+        ([math.nan, math.nan, math.nan, math.nan], 8, None),
+    ],
+)
+def test_unknown_validations_are_neither_better_nor_worse(results, step, best, tmp_path, monkeypatch):
+    values = iter(results)
+    monkeypatch.setattr("pepperscene.learning.training.loop.TrainingLoop._validate", lambda *_: next(values))
+    images = bands_set(3)
+    model = train(images, tmp_path, replace(TINY, steps=8), validation=images)
+    assert (model.training["step"], model.training["validation_mean_iou"]) == (step, best)
+
+    # No file has a number that JSON does not have.
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    lines = (tmp_path / "training.jsonl").read_text().splitlines()
+    logged = [json.loads(line, parse_constant=refuse)["mean_iou"] for line in lines]
+    assert logged == [None if math.isnan(value) else value for value in results]
+    for name in ("model.safetensors", "state.safetensors"):
+        with safe_open(tmp_path / name, "np") as content:
+            json.loads(content.metadata()["description"], parse_constant=refuse)
+
+
+@pytest.mark.parametrize("name", [None, "cuda:99"])
+def test_a_device_that_fails_is_named(name, tmp_path, monkeypatch):
+    def fail(*_args, **_options):
+        raise RuntimeError("no such device")
+
+    monkeypatch.setattr(torch, "zeros", fail)
+    with pytest.raises(ArgumentError, match=r"device: (cpu|cuda|cuda:99) cannot be used \(no such device\)"):
+        train(bands_set(2), tmp_path / "a", TINY, device=name)
 
 
 def test_validation_is_the_mean_iou_of_an_evaluation(tmp_path):

@@ -18,10 +18,10 @@ from pepperscene.camera import (
     load_projector,
     load_sensor,
 )
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry import rectangle
 from pepperscene.materials import lambertian_surface
-from pepperscene.render import Renderer, render_scene
+from pepperscene.render import QUALITIES, Renderer, render_scene
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
@@ -116,6 +116,14 @@ def test_a_pair_of_colour_cameras_is_matched_as_well(renderer, colour):
 def test_a_depth_camera_is_required(scene, colour):
     with pytest.raises(InputError, match="depth_camera: is required for the output depth_sensor"):
         render_scene(scene, colour, ("depth_sensor",), "draft")
+
+
+@pytest.mark.parametrize("output", ["depth_sensor", "imager_left"])
+def test_a_depth_camera_needs_our_integrator(output, renderer, colour, depth_camera):
+    """Mitsuba's path tracer has no dots: the quality is rejected instead of being traced with ours."""
+    paths = replace(QUALITIES["draft"], integrator="path", denoise=False)
+    with pytest.raises(ArgumentError, match='need the integrator "flash", not "path"'):
+        renderer.render(colour, (output,), paths, 3, depth_camera=depth_camera)
 
 
 def test_opencv_is_imported_only_to_match_images():

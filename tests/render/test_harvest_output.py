@@ -14,6 +14,7 @@ from pepperscene.camera import look_at
 from pepperscene.errors import InputError
 from pepperscene.geometry import concatenate_meshes, mesh_plant, move_plant, rectangle, resolve_contacts
 from pepperscene.render import Renderer
+from pepperscene.render.viewpoints import FruitObserver
 from pepperscene.scene import assemble_scene, build_skeleton
 from pepperscene.truth.encodings import decode_rle
 
@@ -190,6 +191,56 @@ def test_fruit_without_a_stalk_has_no_peduncle(plant, scene):
     harvest = Renderer(bare).render(aisle_camera(plant), OUTPUTS)["harvest"]
     assert harvest["fruit"]
     assert all(fruit["peduncle"] is None for fruit in harvest["fruit"])
+
+
+def edited(mesh, instance, change):
+    """The mesh with other vertices of one instance."""
+    vertices = mesh.vertices.copy()
+    rows = mesh.vertex_runs.rows(instance)
+    vertices[rows] = change(vertices[rows])
+    return replace(mesh, vertices=vertices)
+
+
+@pytest.mark.parametrize("form", ["fruit", "peduncle", "blade", "node"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda points: points + np.float32([0.05, 0.0, 0.0]), id="moved"),
+        pytest.param(lambda points: points + np.float32([0.0, 0.0, 1e-4]), id="moved slightly"),
+        pytest.param(lambda points: points[:, [1, 0, 2]] * np.float32([1, -1, 1]), id="turned"),
+        pytest.param(lambda points: points * np.float32(1.01), id="scaled"),
+    ],
+)
+@pytest.mark.parametrize("way", ["replace", "assemble"])
+def test_an_edited_mesh_has_no_harvest_truth(way, change, form, plant, scene):
+    """The poses of its organs, which did not move, are not those of its triangles."""
+    instance = scene.skeleton.of_form(form)[-1]
+    mesh = edited(scene.mesh, instance, change)
+    other = replace(scene, mesh=mesh) if way == "replace" else assemble_scene(mesh, skeleton=scene.skeleton)
+    renderer = Renderer(other)
+    message = rf"scene: has moved or changed triangles of 1 instances, first {instance}, a .*skeleton did not"
+    with pytest.raises(InputError, match=message):
+        renderer.render(aisle_camera(plant), OUTPUTS)
+    with pytest.raises(InputError, match=message):
+        FruitObserver(other, 64)
+    # Labels are those of the triangles.
+    assert renderer.render(aisle_camera(plant), ["instance"])["instance"].any()
+
+
+def test_all_triangles_can_be_moved_only_with_their_skeleton(plant, scene):
+    moved = replace(scene, mesh=scene.mesh.moved(np.eye(3), np.array([0.0, 0.1, 0.0])))
+    with pytest.raises(InputError, match="skeleton did not move with them"):
+        Renderer(moved).render(aisle_camera(plant), OUTPUTS)
+
+
+def test_organs_can_be_removed_and_objects_added(plant, scene, frame):
+    leaves = np.array(scene.skeleton.of_form("blade"))
+    wall = rectangle((0.0, 2.0, 0.0), (4.0, 0.0, 0.0), (0.0, 0.0, 4.0), "wall")
+    mesh = concatenate_meshes([scene.mesh.without_triangles(leaves), wall])
+    bare = Renderer(assemble_scene(mesh, skeleton=scene.skeleton)).render(aisle_camera(plant), OUTPUTS)
+    poses = {fruit["instance"]: fruit["pose"] for fruit in frame["harvest"]["fruit"]}
+    found = {fruit["instance"]: fruit["pose"] for fruit in bare["harvest"]["fruit"]}
+    assert {number: found[number] for number in poses} == poses
 
 
 def test_camera_inside_a_fruit_sees_only_that_fruit(plant):

@@ -24,6 +24,7 @@ from pepperscene.camera.pixel_rays import (
     row_directions,
     slope_limits,
 )
+from pepperscene.camera.point_arrays import as_points
 from pepperscene.camera.readout import Developing
 from pepperscene.camera.sensor import Sensor
 from pepperscene.camera.shutter import Shutter
@@ -185,8 +186,11 @@ class Camera:
         nan for points behind the camera, and for those so far off the axis that the distortion would fold
         them back into the image. The row of a line scanner is when its line sees the point: nan if it never
         does.
+
+        Raises:
+            ArgumentError: the points have another shape; a single one, `(3,)`, is allowed.
         """
-        points = np.asarray(points_world, dtype=float).reshape(-1, 3)
+        points = as_points(points_world, "points_world")
         if self.rows_move:
             # In parts that stay in the processor's cache: three times as fast, and in little memory.
             parts = np.array_split(points, len(points) // _POINTS + 1)

@@ -84,7 +84,7 @@ def nerfstudio_text(poses: PoseList, camera: Camera | None) -> str:
     content["frames"] = [
         nerfstudio_frame(name, pose) for name, pose in zip(_image_names(poses), poses.poses, strict=True)
     ]
-    return json.dumps(content, indent=1) + "\n"
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def nerfstudio_frame(file_path: str, pose: Array) -> dict[str, Any]:

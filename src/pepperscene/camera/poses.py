@@ -21,10 +21,14 @@ def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1
     """`(4, 4)` pose of a camera at `position` that looks at `target` with `up` upwards in its image.
 
     Raises:
-        ValueError: the target is the position, or the view is along `up`.
+        ValueError: an argument has not three coordinates, the target is the position, or the view is along
+            `up`.
     """
-    origin = np.asarray(position, dtype=float)
-    return pose_along(origin, np.asarray(target, dtype=float) - origin, np.asarray(up, dtype=float))
+    origin, goal, upwards = (np.asarray(point, dtype=float) for point in (position, target, up))
+    for name, point in (("position", origin), ("target", goal), ("up", upwards)):
+        if point.shape != (3,):
+            raise ValueError(f"{name} must have three coordinates, not the shape {point.shape}")
+    return pose_along(origin, goal - origin, upwards)
 
 
 def arc_path(

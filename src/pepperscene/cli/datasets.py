@@ -51,7 +51,7 @@ def check(
     with check_progress() as on_frame:
         result = check_dataset(folder, workers, on_frame, frames)
     if json:
-        typer.echo(json_text.dumps(result.to_json(), indent=1))
+        typer.echo(json_text.dumps(result.to_json(), indent=1, allow_nan=False))
     else:
         _print_result(result, folder, rows)
     if not result.passed:

@@ -105,7 +105,7 @@ def describe_build(
     options = replace(options, on_notice=_echo_notice)
     preview = preview_plan(resolved, outputs, options, probe=probe, picture=out, poses=poses)
     if json:
-        typer.echo(json_text.dumps(preview.to_json(), indent=2, default=str))
+        typer.echo(json_text.dumps(preview.to_json(), indent=2, default=str, allow_nan=False))
         return
     for line in plan_lines(preview.summary, preview.cost):
         typer.echo(line)

@@ -123,7 +123,7 @@ class JsonReporter(ProgressReporter):
 
     @staticmethod
     def _print(**values: Any) -> None:
-        typer.echo(json.dumps(values))
+        typer.echo(json.dumps(values, allow_nan=False))
 
 
 @final

@@ -179,7 +179,7 @@ def _list_parameters(recipe: Recipe, json: bool) -> None:
 
     names = known_parameters(load_recipe_cultivar(recipe), load_camera(recipe))
     if json:
-        typer.echo(json_text.dumps(list(names)))
+        typer.echo(json_text.dumps(list(names), allow_nan=False))
         return
     # A ripening path and its two ends cannot be selected together.
     ends = [name for name in names if name.count(".") > 1]

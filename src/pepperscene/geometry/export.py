@@ -5,20 +5,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera.colorimetry import srgb_decode
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry.mesh import PIGMENTS, Mesh
+from pepperscene.geometry.natural_colours import natural_colours
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 FORMATS: Final = (".glb", ".obj", ".ply", ".stl")
+Colours = Literal["natural", "class"] | Mapping[str, NDArray[np.floating[Any]]]
+"""Of the materials of a GLB."""
+
 STATE_STEPS: Final = 20
 """Steps of pigment state for which a GLB has separate materials: chosen, each too small to be seen."""
 
@@ -56,9 +60,7 @@ def organ_names(mesh: Mesh) -> tuple[str, ...]:
     return tuple(names)
 
 
-def mesh_files(
-    mesh: Mesh, name: str, colours: Mapping[str, NDArray[np.floating[Any]]] | None = None
-) -> dict[str, bytes]:
+def mesh_files(mesh: Mesh, name: str, colours: Colours = "natural") -> dict[str, bytes]:
     """Encode a mesh as a file, and as a second one for the materials of an OBJ.
 
     - `.glb`: a node for each organ below the node of its parent, with its class, kind, surface, phytomer and
@@ -71,31 +73,43 @@ def mesh_files(
     Args:
         mesh: in metres.
         name: of the file; its suffix selects the format.
-        colours: `(k, 3)` linear sRGB of surfaces by name, at `linspace(0, 1, k)` of their pigment state, for
-            the materials of a GLB. Other surfaces get the colour of their class.
+        colours: of the materials of a GLB: "natural" for those of the mesh's cultivar and of a greenhouse in
+            daylight, "class" for those of the classes, or `(k, 3)` linear sRGB of surfaces by name, at
+            `linspace(0, 1, k)` of their pigment state. Other surfaces get the colour of their class.
 
     Returns:
         Content by file name, that of `name` first; the same mesh gives the same bytes.
 
     Raises:
         InputError: the suffix is not one of `FORMATS`.
+        ArgumentError: the colours are another word, or natural ones of plants of several cultivars.
     """
     suffix = check_mesh_format(name)
+    if isinstance(colours, str) and colours not in ("natural", "class"):
+        raise ArgumentError("colours", f'must be "natural", "class" or a table by surface, not {colours!r}')
     if suffix == ".glb":
-        return {name: _encode_glb(mesh, colours or {})}
+        tables = {} if colours == "class" else natural_colours(mesh) if colours == "natural" else colours
+        return {name: _encode_glb(mesh, tables)}
     return _encode_obj(mesh, name) if suffix == ".obj" else {name: _single_body(mesh, suffix)}
 
 
-def write_mesh(
-    mesh: Mesh, path: str | Path, colours: Mapping[str, NDArray[np.floating[Any]]] | None = None
-) -> tuple[Path, ...]:
-    """Write a mesh to a file in the format that its suffix selects; see `mesh_files`.
+def write_mesh(mesh: Mesh, path: str | Path, colours: Colours = "natural") -> tuple[Path, ...]:
+    """Write a mesh to a file in the format that its suffix selects.
+
+    Args:
+        mesh: in metres.
+        path: its suffix is the format: `.glb`, `.obj`, `.ply` or `.stl`.
+        colours: of the materials of a GLB: "natural" for those of the mesh's cultivar and of a greenhouse in
+            daylight, as `pepperscene plant` writes them, "class" for those of the classes, or `(k, 3)` linear
+            sRGB of surfaces by name, at `linspace(0, 1, k)` of their pigment state. Other surfaces, and the
+            other formats, get the colours of the classes.
 
     Returns:
         The files written, `path` first.
 
     Raises:
         InputError: the suffix is not one of `FORMATS`.
+        ArgumentError: the colours are another word, or natural ones of plants of several cultivars.
         OSError: a file cannot be written.
     """
     path = Path(path)

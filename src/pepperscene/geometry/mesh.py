@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import Appearance, Instance, OrganClass
+
+if TYPE_CHECKING:
+    from pepperscene.cultivar import Cultivar
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
@@ -54,6 +57,7 @@ class Mesh:
             theirs, so that light does not depend on labels.
         colour: `(v, 3)` float32, reflectance as linear sRGB in [0, 1] of organs that have it from a scan, and
             `PIGMENTS` for others; None if no organ has it. All vertices of an organ have it, or none.
+        cultivars: whose pigments give the colours of its plants; different ones, none if they are unknown.
     """
 
     vertices: SingleArray
@@ -68,6 +72,7 @@ class Mesh:
     instances: tuple[Instance, ...]
     appearances: tuple[Appearance, ...]
     colour: SingleArray | None = None
+    cultivars: tuple[Cultivar, ...] = ()
 
     @property
     def face_class(self) -> NDArray[np.uint8]:
@@ -152,12 +157,16 @@ class Mesh:
         """Return the mesh rotated by a `(3, 3)` matrix, then translated by `(3,)` metres.
 
         Raises:
-            ValueError: the matrix is not a rotation; mirroring or scaling would spoil windings and normals.
+            ValueError: the matrix is not a rotation (scaling or mirroring would spoil normals), or
+                the translation does not have three coordinates.
         """
-        matrix = np.asarray(rotation, dtype=float)
+        matrix, shift = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
+        if matrix.shape != (3, 3) or shift.shape != (3,):
+            shapes = f"{matrix.shape} and {shift.shape}"
+            raise ValueError(f"rotation must be (3, 3) and translation (3,), not {shapes}")
         if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) and np.linalg.det(matrix) > 0.0):
             raise ValueError("rotation must be orthogonal, with determinant 1")
-        vertices = _transform(self.vertices, matrix, np.asarray(translation, dtype=float))
+        vertices = _transform(self.vertices, matrix, shift)
         return replace(self, vertices=vertices, normals=_transform(self.normals, matrix, np.zeros(3)))
 
     def select_instances(self, chosen: Sequence[int]) -> Mesh:
@@ -196,6 +205,7 @@ class Mesh:
             ),
             appearances=tuple(self.appearances[index] for index in appearances),
             colour=self.colours_of(used),
+            cultivars=self.cultivars,
         )
 
     def without_triangles(self, instances: IndexArray) -> Mesh:
@@ -288,7 +298,17 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
         instances=tuple(instances),
         appearances=tuple(number),
         colour=_concatenate_colours(meshes),
+        cultivars=_different_cultivars(meshes),
     )
+
+
+def _different_cultivars(meshes: Sequence[Mesh]) -> tuple[Cultivar, ...]:
+    """The cultivars of all meshes, each once."""
+    found: list[Cultivar] = []
+    for cultivar in (cultivar for mesh in meshes for cultivar in mesh.cultivars):
+        if not any(cultivar is known or cultivar == known for known in found):
+            found.append(cultivar)
+    return tuple(found)
 
 
 def _concatenate_colours(meshes: Sequence[Mesh]) -> SingleArray | None:

@@ -117,6 +117,7 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
             for index, organ in enumerate(plant.organs)
         ),
         colour=_join_colours([batch for _, batch in parts]) if coloured else None,
+        cultivars=() if plant.grown_from is None else (plant.grown_from,),
     )
 
 

@@ -48,7 +48,8 @@ def build_plant(parameters: PlantParameters) -> Plant:
     # Plants whose cultivar has fruit have the kind calyx, even without any fruit.
     if any(kind.form == "fruit" for kind in kinds.values()):
         kinds[CALYX] = DEFAULT_KINDS["calyx"]
-    return Plant(parameters.cultivar, tuple(built[number] for number in sorted(built)), kinds)
+    ordered = tuple(built[number] for number in sorted(built))
+    return Plant(parameters.cultivar, ordered, kinds, parameters.drawn_from)
 
 
 def _kind_of_form(organs: Mapping[str, KindParameters], form: OrganForm) -> str:

@@ -67,7 +67,7 @@ def draw_parameters(cultivar: Cultivar, rng: np.random.Generator, lean: float = 
         if name not in organs:
             kind_groups = [group for group in groups if group.kind == name]
             organs[name] = _draw_kind(cultivar, name, model, kind_groups, phytomers)
-    return PlantParameters(cultivar.name, organs)
+    return PlantParameters(cultivar.name, organs, cultivar)
 
 
 def _draw_stem(cultivar: Cultivar, phytomers: Phytomers, lean: float) -> dict[str, KindParameters]:

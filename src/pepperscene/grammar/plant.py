@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.cultivar import OrganForm, OrganKind
+from pepperscene.cultivar import Cultivar, OrganForm, OrganKind
 from pepperscene.grammar.hashing import FloatArray
 
 Indices = NDArray[np.intp]
@@ -45,11 +45,13 @@ class Plant:
         cultivar: its name.
         organs: ordered so that parents come first.
         kinds: form, label and surface of each organ kind.
+        grown_from: the cultivar, whose pigments give the colours of the organs; None if it is unknown.
     """
 
     cultivar: str
     organs: tuple[Organ, ...]
     kinds: Mapping[str, OrganKind]
+    grown_from: Cultivar | None = None
 
     def __repr__(self) -> str:
         height = max((float(organ.curve[:, 2].max()) for organ in self.organs), default=0.0)
@@ -122,10 +124,12 @@ class PlantParameters:
     Attributes:
         cultivar: its name.
         organs: name of a kind -> its organs; kinds of which the plant has none have no rows.
+        drawn_from: the cultivar; None if it is unknown.
     """
 
     cultivar: str
     organs: Mapping[str, KindParameters]
+    drawn_from: Cultivar | None = None
 
     def with_values(self, kind: str, row: int, **values: float) -> PlantParameters:
         """Replace some numbers of one organ.

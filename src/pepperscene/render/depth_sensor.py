@@ -91,7 +91,7 @@ class _Imager:
     Attributes:
         camera: at its pose.
         depth_camera: that it belongs to, with the projector at its place in the axes of this imager.
-        seeds: of its noise and its samples.
+        noise, sampling: seeds of its noise and its samples.
     """
 
     camera: Camera

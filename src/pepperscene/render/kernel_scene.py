@@ -19,7 +19,7 @@ from pepperscene.render.kernel.camera import (
     spectral_response,
 )
 from pepperscene.render.kernel.scene import LightScene, check_surfaces, light_scene, sky_tables, truth_scene
-from pepperscene.render.quality import Quality
+from pepperscene.render.quality import Quality, check_depth_camera_quality
 from pepperscene.render.reference.exposure import exposed_paths
 from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
 from pepperscene.render.transport.adaptive import AdaptiveSampler
@@ -137,8 +137,10 @@ class KernelScene:
         scattered more than once is that of a projector without dots.
 
         Raises:
+            ArgumentError: the quality has another integrator than "flash".
             ValueError: the scene has no surfaces.
         """
+        check_depth_camera_quality(quality)
         check_surfaces(scene)
         lit = camera if projector is None else dataclasses.replace(camera, flash=projector.flood())
         response = spectral_response(lit, scene)

@@ -104,6 +104,16 @@ def find_quality(name: str) -> Quality:
     return QUALITIES[name]
 
 
+def check_depth_camera_quality(quality: Quality) -> None:
+    """Raise `ArgumentError` for a quality that cannot trace the imagers of a depth camera.
+
+    Mitsuba's path tracer has no emitter for the dots of a projector.
+    """
+    if quality.integrator != "flash":
+        problem = f'the outputs of a depth camera need the integrator "flash", not "{quality.integrator}"'
+        raise ArgumentError("quality", problem)
+
+
 def resolve_quality(quality: str | Quality, target_error: float | None = None) -> Quality:
     """Return a quality by name or as it is, with another target and enough samples for it if one is given.
 

@@ -41,7 +41,7 @@ from pepperscene.render.aov.label_strips import label_images
 from pepperscene.render.kernel.camera import label_rays
 from pepperscene.render.kernel_scene import KernelScene
 from pepperscene.render.metering import metered_light
-from pepperscene.render.quality import Quality, resolve_quality
+from pepperscene.render.quality import Quality, check_depth_camera_quality, resolve_quality
 from pepperscene.render.variant import mitsuba_modules, variant_name
 from pepperscene.scene import Scene, Sky
 from pepperscene.truth.amodal import amodal_truth
@@ -144,6 +144,8 @@ class Renderer:
             raise ArgumentError("depth_camera", f"is required for the output {min(depths)}")
         bands = BAND_OUTPUTS.intersection(requested)
         quality = resolve_quality(quality, target_error)
+        if depths:
+            check_depth_camera_quality(quality)
         scene = self._under(sky)
         images: dict[str, Any] = {}
         described: dict[str, Any] = {}

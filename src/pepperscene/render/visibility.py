@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
+from pepperscene.camera.point_arrays import as_points
 from pepperscene.render.aov.flow import is_unoccluded
 from pepperscene.render.kernel.arrays import LocalCoordinates
 
@@ -53,7 +54,7 @@ def visible_points(
             are hidden. None for blades and for points in space.
         has_borders: whether points outside the image are hidden.
     """
-    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    points = as_points(points)
     if camera.motion is not None:
         camera = replace(camera, motion=None)
     centre = camera.pose[:3, 3]
@@ -94,10 +95,10 @@ def visible_fraction(
         closed: whether only the side that the normals point to can be seen.
         instance: of the organ, so that what it hides of itself does not count; None for a convex one.
     """
-    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    points = as_points(points)
     if normals is None:
         return float(visible(camera, points).mean()) if len(points) else 0.0
-    normals = np.asarray(normals, dtype=float).reshape(-1, 3)
+    normals = as_points(normals, "normals")
     to_camera = camera.pose[:3, 3] - points
     cosine = np.einsum("ni,ni->n", normals, to_camera)
     weight = (np.maximum(cosine, 0.0) if closed else np.abs(cosine)) / np.linalg.norm(to_camera, axis=1) ** 3

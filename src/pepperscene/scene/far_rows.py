@@ -225,6 +225,7 @@ def _repeated_plant(plant: Mesh, rotations: NDArray[np.float64], bases: NDArray[
         instances=(Instance(OrganClass.BACKGROUND, ""),) * (n * organs),
         appearances=plant.appearances,
         colour=None if plant.colour is None else np.tile(plant.colour, (n, 1)),
+        cultivars=plant.cultivars,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
+from pepperscene.camera.point_arrays import as_poses
 
 _POSE_STRIDE: Final = (
     16  # chosen: every 16th pose sees most of what is visible; the others are tested for the rest
@@ -63,7 +64,7 @@ def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
         camera: lens, sensor, focus and flash; its own pose is not used.
         poses: `(p, 4, 4)` camera to world.
     """
-    pose = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
+    pose = as_poses(poses)
     # Beyond the focal plane, the rays of a pixel spread by the pupil's radius per focus distance.
     pupil = 0.0 if camera.focus_m is None else camera.aperture_radius_m
     spread = 0.0 if camera.focus_m is None else pupil / camera.focus_m

@@ -222,9 +222,14 @@ def _point_entry(
     return {
         "camera_m": _lists(view.points(point)),
         "world_m": _lists(point),
-        "px": _lists(px, 3) if inside else None,
+        "px": _pixel(px, view.camera) if inside else None,
         "visible": visible,
     }
+
+
+def _pixel(px: FloatArray, camera: Camera) -> list[float]:
+    """A point of the image; rounding must not move one near the right or lower border out of it."""
+    return _lists(np.minimum(px, [camera.width - 1e-3, camera.height - 1e-3]), 3)
 
 
 def _approach_entry(approach: Approach, view: LabelView) -> dict[str, Any]:

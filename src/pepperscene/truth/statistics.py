@@ -149,14 +149,14 @@ class ImageStatistics:
     order give the same bytes.
 
     Attributes:
-        pictures: number of images added.
-        photographs: number of those with colour.
-        labelled: number of those with classes.
-        pixels: `(8,)`, labelled pixels of each class.
-        unlabelled: pixels of label images whose value is no class id.
-        hue_pictures: `(8,)`, number of images whose centre shows a class, for mean hue spectra.
+        image_count: number of images added.
+        photograph_count: number of those with colour.
+        labelled_count: number of those with classes.
+        class_pixels: `(8,)`, labelled pixels of each class.
+        unlabelled_pixels: pixels of label images whose value is no class id.
+        hue_image_counts: `(8,)`, number of images whose centre shows a class, for mean hue spectra.
         intensities: mean grey value of each photograph, in the order added.
-        saturated: fraction of pixels with a channel at 255 of each photograph.
+        saturated_fractions: fraction of pixels with a channel at 255 of each photograph.
     """
 
     def __init__(self) -> None:

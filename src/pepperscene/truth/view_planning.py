@@ -57,7 +57,7 @@ def greedy_views(
     search = _Search(visibility, fruit)
     if count < 1:
         raise ArgumentError("count", f"must be at least 1, not {count}")
-    covered = search.covered_by(taken)
+    covered = search.covered_by(_pose_numbers(taken))
     poses, points = [], []
     for _ in range(count):
         gains = search.gains(covered)
@@ -129,10 +129,18 @@ def view_coverage(
     """
     search = _Search(visibility, fruit)
     covered, points = search.covered_by(()), []
-    for pose in poses:
-        covered = search.joined(covered, int(pose))
+    for pose in _pose_numbers(poses):
+        covered = search.joined(covered, pose)
         points.append(search.points(covered))
     return np.array(points, dtype=float) / search.total
+
+
+def _pose_numbers(poses: Sequence[int] | NDArray[np.intp]) -> list[int]:
+    """Numbers of poses; the poses themselves are rejected."""
+    numbers = np.asarray(poses)
+    if numbers.ndim != 1 or (numbers.size and not np.issubdtype(numbers.dtype, np.integer)):
+        raise ArgumentError("poses", f"must be numbers of poses, not {numbers.dtype} {numbers.shape}")
+    return [int(number) for number in numbers]
 
 
 class _Search:

@@ -22,7 +22,7 @@ from pepperscene.colour.patches.patch import (
     is_organ_kind,
 )
 from pepperscene.dataset.readers.folder import natural_sort_key
-from pepperscene.dataset.readers.pictures import read_mask, read_photo
+from pepperscene.dataset.readers.pictures import Exif, read_mask, read_mask_of, read_photo
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.truth.statistics import centre_crop
@@ -50,6 +50,7 @@ class MaskRegion(Document):
 
     file: Text
     value: int | tuple[int, ...] | Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
+    exif: Exif | None = None
 
 
 class PatchRegion(_WithKind):
@@ -212,7 +213,7 @@ def _region_mask(
 ) -> NDArray[np.bool_]:
     """`(h, w)` mask of the pixels of a region."""
     if region.mask is not None:
-        return _read_mask_region(region.mask, shape, folder)
+        return _read_mask_region(region.mask, shape, folder, region.picture)
     mask = np.zeros(shape, bool)
     height, width = shape
     if region.box is not None:
@@ -233,11 +234,13 @@ def _region_mask(
     return mask
 
 
-def _read_mask_region(region: MaskRegion, shape: tuple[int, ...], folder: Path) -> NDArray[np.bool_]:
+def _read_mask_region(
+    region: MaskRegion, shape: tuple[int, ...], folder: Path, picture: str
+) -> NDArray[np.bool_]:
     file = folder / region.file
-    mask = read_mask(file)
-    if mask.shape != shape:
-        size = "x".join(str(length) for length in mask.shape[::-1])
+    mask = read_mask_of(folder / picture, file, region.exif)
+    if mask is None:
+        size = "x".join(str(length) for length in read_mask(file).shape[::-1])
         raise InputError(file, f"has {size} pixels, but its picture {shape[1]}x{shape[0]}")
     if isinstance(region.value, str):
         if mask.rgb is None:

@@ -16,7 +16,7 @@ from pepperscene.colour.patches.file import ChartPlace, read_patches_file
 from pepperscene.colour.patches.patch import Patch, PatchSet, even_indices
 from pepperscene.dataset import ImageSet, LabelledImage, open_images
 from pepperscene.dataset.readers import KNOWN_LABELS, FolderSet, LabelMap
-from pepperscene.dataset.readers.pictures import read_mask, read_photo
+from pepperscene.dataset.readers.pictures import read_mask_of, read_photo
 from pepperscene.document import validate
 from pepperscene.errors import InputError
 
@@ -168,7 +168,8 @@ def _ripeness_masks(images: ImageSet, picture: LabelledImage) -> Mapping[str, ND
         and any(images.labels is KNOWN_LABELS[name] for name in _MONTOYA_TABLES)
         and "mask" in picture.metadata
     ):
-        values = read_mask(Path(picture.metadata["mask"])).values
+        mask = read_mask_of(Path(picture.metadata["image"]), Path(picture.metadata["mask"]))
+        values = None if mask is None else mask.values
         return {} if values is None else {kind: np.isin(values, codes) for kind, codes in _MONTOYA.items()}
     if picture.instances is not None and "harvest" in picture.metadata:
         known = [fruit for fruit in picture.metadata["harvest"]["fruit"] if fruit.get("ripeness") is not None]

@@ -211,5 +211,6 @@ def _camera_file(camera: Camera) -> dict[str, float]:
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
     """A JSON object with one key per line, as BOP's own files."""
-    lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in content.items()]
+    encode = json.JSONEncoder(allow_nan=False).encode
+    lines = [f"  {encode(key)}: {encode(value)}" for key, value in content.items()]
     path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")

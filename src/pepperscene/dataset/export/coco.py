@@ -22,7 +22,9 @@ from pepperscene.dataset.store.crop import crop_name
 from pepperscene.dataset.store.images import png_bytes
 
 _CENTRE: Final = 0.5
-"""Coordinate of the first pixel's centre here; in COCO's keypoints it is 0."""
+"""Coordinate of the first pixel's centre here; in COCO's keypoints it is 0, and that of the last one is the
+number of pixels minus 1. Points nearer to the border than these centres are moved to them: tools that read
+COCO take others for points outside the image."""
 
 _METRE_DECIMALS: Final = 6  # as in the harvest truth
 
@@ -85,7 +87,7 @@ def write_coco(job: ExportJob, folder: Path) -> None:
                 channels = visible.view(np.uint8).reshape(*ids.shape, 4)[..., :3]
                 content = png_bytes(np.ascontiguousarray(channels))
                 (panoptic_images / image["file_name"]).write_bytes(content)
-                records = _instance_records(frame, segments, harvest=harvest, amodal=amodal)
+                records = _instance_records(frame, segments, ids.shape, harvest=harvest, amodal=amodal)
                 instances.add(image, records)
                 panoptic.add(image, [_panoptic_record(image, segments)])
 
@@ -151,9 +153,9 @@ def _annotation_id(index: int, segment_id: int) -> int:
 
 
 def _instance_records(
-    frame: ExportFrame, segments: Sequence[Segment], *, harvest: bool, amodal: bool
+    frame: ExportFrame, segments: Sequence[Segment], shape: tuple[int, ...], *, harvest: bool, amodal: bool
 ) -> list[dict[str, Any]]:
-    """One annotation for each visible organ, and one for the rest of each class."""
+    """One annotation for each visible organ of an image `(h, w)`, and one for the rest of each class."""
     fruit, whole_organs = frame.fruit if harvest else {}, frame.whole_organs if amodal else {}
     visible = {segment.id for segment in segments}
     records = []
@@ -179,7 +181,7 @@ def _instance_records(
             record["attributes"] = {**attributes, "instance": segment.id, "parent": parent}
         if harvest and segment.categories[0].has_fruit:
             known = fruit.get(segment.id, {})
-            record |= _keypoints(known)
+            record |= _keypoints(known, shape)
             if known:
                 record["attributes"] |= _fruit_attributes(known)
         # The harvest truth has the same mask of a fruit.
@@ -200,7 +202,7 @@ def _crowd_records(frame: ExportFrame, segment: Segment, harvest: bool) -> list[
             "area": segment.area,
             "bbox": segment.box,
             "segmentation": segment.mask,
-            **(_keypoints({}) if harvest and category.has_fruit else {}),
+            **(_keypoints({}, (1, 1)) if harvest and category.has_fruit else {}),
         }
         for category in segment.categories
     ]
@@ -238,13 +240,23 @@ def _whole_attributes(organ: Mapping[str, Any]) -> dict[str, Any]:
     return {**{key: organ[key] for key in _WHOLE_KEYS}, "amodal": amodal}
 
 
-def _keypoints(fruit: Mapping[str, Any]) -> dict[str, Any]:
-    """COCO's `keypoints`, x, y and visibility of each in one list, of an entry in the harvest truth."""
+def _keypoints(fruit: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Any]:
+    """COCO's `keypoints`, x, y and visibility of each in one list, of an entry in the harvest truth.
+
+    The `shape` (h, w) is that of the image.
+    """
     flat: list[float] = []
+    height, width = shape
     points = fruit_keypoints(fruit)
     for x, y, flag in points:
-        flat += (round(x - _CENTRE, 2), round(y - _CENTRE, 2), flag) if flag else (0, 0, 0)
+        # Zeros of a point that is unknown.
+        flat += (_coordinate(x, width), _coordinate(y, height), flag) if flag else (0, 0, 0)
     return {"keypoints": flat, "num_keypoints": sum(flag > 0 for *_, flag in points)}
+
+
+def _coordinate(value: float, pixels: int) -> float:
+    """COCO's coordinate of a point along a side of so many pixels."""
+    return min(max(round(value - _CENTRE, 2), 0.0), pixels - 1.0)
 
 
 def _panoptic_record(image: Mapping[str, Any], segments: Sequence[Segment]) -> dict[str, Any]:

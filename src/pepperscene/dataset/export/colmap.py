@@ -118,6 +118,8 @@ def _observe(seeds: SeedPoints, surface: RangeImage, tracks: _Tracks) -> str:
         errors = np.nan_to_num(np.linalg.norm(still - pixels, axis=1))
     tracks.points.append(visible)
     tracks.errors.append(errors)
+    # Rounding must not move a point near the right or lower border out of the image.
+    pixels = np.minimum(pixels, [camera.width - 1e-3, camera.height - 1e-3])
     rows = zip(pixels.tolist(), visible.tolist(), strict=True)
     return " ".join(f"{u:.3f} {v:.3f} {number + 1}" for (u, v), number in rows)
 

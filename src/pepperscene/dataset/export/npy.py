@@ -41,4 +41,4 @@ def write_npy(job: ExportJob, folder: Path) -> None:
                 is_label = output in _LABELS
                 image = frame.image(output) if is_label else band_image(frame, output, bands)
                 np.save(folder / split / output / f"{frame.name}.npy", image, allow_pickle=False)
-    (folder / "bands.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (folder / "bands.json").write_text(json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8")

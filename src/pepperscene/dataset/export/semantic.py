@@ -30,7 +30,9 @@ def write_semantic(job: ExportJob, folder: Path) -> None:
     table: dict[str, Any] = {"ignore": IGNORE_CLASS, "classes": records}
     if job.selection.is_divided:
         table["ripe_from"] = job.selection.ripe_from
-    (folder / "classes.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (folder / "classes.json").write_text(
+        json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
     (folder / LABEL_FILE).write_text(_label_table(classes, job.selection), encoding="utf-8")
     for split, frames in job.frames_by_split():
         images, masks = folder / "images" / split, folder / "masks" / split

@@ -6,6 +6,7 @@ Format: https://docs.ultralytics.com/datasets/detect/.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,13 +42,21 @@ class VisibleObject:
     def box(self, shape: tuple[int, ...]) -> str:
         """Centre, width and height of its visible pixels over the `shape` (h, w) of the image, as text."""
         (height, width), (rows, columns) = shape, self.window
-        numbers = (
-            0.5 * (columns.start + columns.stop) / width,
-            0.5 * (rows.start + rows.stop) / height,
-            (columns.stop - columns.start) / width,
-            (rows.stop - rows.start) / height,
-        )
-        return " ".join(f"{number:.{DECIMALS}f}" for number in numbers)
+        (x, wide), (y, high) = _rounded_side(columns, width), _rounded_side(rows, height)
+        return " ".join(f"{number:.{DECIMALS}f}" for number in (x, y, wide, high))
+
+
+def _rounded_side(pixels: slice, count: int) -> tuple[float, float]:
+    """Centre and length of a box along a side of `count` pixels, over its length, rounded.
+
+    Where rounding would move an edge out of the image, the box is made shorter by the last digit.
+    """
+    centre = round(0.5 * (pixels.start + pixels.stop) / count, DECIMALS)
+    length = round((pixels.stop - pixels.start) / count, DECIMALS)
+    excess = length - 2.0 * min(centre, 1.0 - centre)
+    if excess > 0.1 * 10.0**-DECIMALS:
+        length = round(length - math.ceil(round(excess * 10.0**DECIMALS, 1)) * 10.0**-DECIMALS, DECIMALS)
+    return centre, length
 
 
 def write_yolo_layout(

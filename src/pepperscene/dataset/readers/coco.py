@@ -16,7 +16,15 @@ from pepperscene.dataset.readers.coco_masks import decode_segmentation
 from pepperscene.dataset.readers.folder import natural_sort_key
 from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage
 from pepperscene.dataset.readers.labels import LABEL_FILE, parse_class
-from pepperscene.dataset.readers.pictures import photo_shape, read_photo
+from pepperscene.dataset.readers.pictures import (
+    EXIF_KEY,
+    Exif,
+    mark_orientation,
+    parse_exif,
+    photo_shape,
+    read_photo,
+    turn_image,
+)
 from pepperscene.dataset.store.frame_json import read_json
 from pepperscene.document import read_toml
 from pepperscene.errors import ArgumentError, InputError, short_repr
@@ -116,11 +124,13 @@ class CocoSet(ImageSet):
         source: the annotation file.
         items: images in natural order of their names.
         otherwise: class id of pixels without an annotation.
+        exif: which pixels of photographs with an EXIF orientation are marked; None if only sizes tell.
     """
 
     source: Path
     items: tuple[CocoImage, ...]
     otherwise: int = VOID
+    exif: Exif | None = None
 
     @classmethod
     def from_file(cls, source: Path, labels: Mapping[Any, Any] | None = None) -> Self:
@@ -134,6 +144,7 @@ class CocoSet(ImageSet):
         records = {key: _records(content, key, source) for key in ("images", "annotations", "categories")}
         info = content.get("info")
         is_own = isinstance(info, dict) and _OWN_KEY in info
+        exif = parse_exif(table.pop(EXIF_KEY), where) if EXIF_KEY in table else None
         otherwise = table.pop(OTHERWISE, None)
         if otherwise is not None:
             unlabelled = parse_class(otherwise, OTHERWISE, where)
@@ -147,7 +158,7 @@ class CocoSet(ImageSet):
         name = root.resolve().name
         if source.parent.name == ANNOTATIONS:
             name = f"{name} {source.stem.removeprefix(_PREFIX)}"
-        return cls(name=name, source=source, items=items, otherwise=unlabelled)
+        return cls(name=name, source=source, items=items, otherwise=unlabelled, exif=exif)
 
     def names(self) -> tuple[str, ...]:
         """Names of the picture files, without suffix."""
@@ -155,16 +166,21 @@ class CocoSet(ImageSet):
 
     def read(self, item: CocoImage) -> LabelledImage:
         """Read one image, and paint its annotations."""
+        marked = {"classes", "instances"} & set(self.fields)
         shape = photo_shape(item.file)
-        if shape != item.size:
+        # Without marks, either size is right.
+        exif = self.exif if marked and item.annotations else "displayed" if shape == item.size else "stored"
+        # Label Studio writes the stored size, but marks the displayed picture (its issue 6608).
+        orientation = mark_orientation(item.size, item.file, exif, self.source, by_size=False)
+        if orientation is None:
             sizes = f"{shape[1]}x{shape[0]} pixels, but {self.source.name} says {item.size[1]}x{item.size[0]}"
             raise InputError(item.file, f"has {sizes}")
         colour = read_photo(item.file) if "colour" in self.fields else None
         files = {"image": str(item.file), "annotations": str(self.source)}
         metadata = files if "metadata" in self.fields else {}
-        if not {"classes", "instances"} & set(self.fields):
+        if not marked:
             return LabelledImage(item.name, colour, None, metadata=metadata)
-        classes, instances = self._paint(item)
+        classes, instances = (turn_image(image, orientation) for image in self._paint(item))
         return LabelledImage(
             item.name,
             colour,

@@ -20,7 +20,13 @@ from pepperscene.dataset.readers.labels import (
     parse_labels,
     read_labels,
 )
-from pepperscene.dataset.readers.pictures import MaskImage, mask_shape, photo_shape, read_mask, read_photo
+from pepperscene.dataset.readers.pictures import (
+    MaskImage,
+    mask_shape,
+    photo_shape,
+    read_mask_of,
+    read_photo,
+)
 from pepperscene.errors import ArgumentError, InputError
 
 # Words of file and folder names that mark images, class masks, and neither of the two.
@@ -165,12 +171,11 @@ class FolderSet(ImageSet):
     def _classes(self, pair: ImagePair) -> NDArray[np.uint8] | None:
         if pair.mask is None:
             return None
-        # From the headers alone, before a mask is decoded.
-        if (found := mask_shape(pair.mask)) != (shape := photo_shape(pair.image)):
-            sizes = f"has {_format_size(found)} pixels, but its image"
-            sizes += f" {pair.image.name} has {_format_size(shape)}"
+        mask = read_mask_of(pair.image, pair.mask, None if self.labels is None else self.labels.exif)
+        if mask is None:
+            sizes = f"has {_format_size(mask_shape(pair.mask))} pixels, but its image"
+            sizes += f" {pair.image.name} has {_format_size(photo_shape(pair.image))}"
             raise InputError(pair.mask, f"{sizes}; masks are never resized")
-        mask = read_mask(pair.mask)
         ids = _class_ids(mask, self.labels, pair.mask)
         return ids if mask.opaque is None else np.where(mask.opaque, ids, np.uint8(VOID))
 

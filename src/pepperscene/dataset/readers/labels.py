@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import CLASS_COLOURS, IGNORE_COLOUR, OrganClass
 from pepperscene.dataset.readers.image_set import VOID
+from pepperscene.dataset.readers.pictures import EXIF_KEY, Exif, parse_exif
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 
@@ -37,6 +38,7 @@ class LabelMap:
     values: Mapping[int, int] = field(default_factory=dict)
     colours: Mapping[Colour, int] = field(default_factory=dict)  # by 8-bit RGB; the nearest colour counts
     otherwise: int | None = None  # class id of all else; None if all else is an error
+    exif: Exif | None = None  # which pixels of photographs with an EXIF orientation the masks mark
 
     def map_values(self, values: NDArray[np.integer[Any]], file: str | Path) -> NDArray[np.uint8]:
         """Class ids of mask values, of any shape; `file` is for messages."""
@@ -80,6 +82,7 @@ def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
     Args:
         table: keys are mask values (5 or "5"), mask colours ((255, 0, 0) or "#ff0000") or "otherwise"; values
             are classes: an `OrganClass`, its name in lower case, or "void" (or None) for unlabelled pixels.
+            The key "exif" has the value "displayed" or "stored" (see `mark_orientation`).
         source: file or argument that holds the table.
 
     Raises:
@@ -88,7 +91,10 @@ def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
     values: dict[int, int] = {}
     colours: dict[Colour, int] = {}
     otherwise: int | None = None
+    exif = parse_exif(table[EXIF_KEY], source) if EXIF_KEY in table else None
     for key, organ_class in table.items():
+        if key == EXIF_KEY:
+            continue
         class_id = parse_class(organ_class, str(key), source)
         if key == "otherwise":
             otherwise = class_id
@@ -101,7 +107,7 @@ def parse_labels(table: Mapping[Any, Any], source: str | Path) -> LabelMap:
             raise InputError(source, allowed, key=str(key))
     if not values and not colours:
         raise InputError(source, "must give a class to at least one mask value or colour")
-    return LabelMap(str(source), values, colours, otherwise)
+    return LabelMap(str(source), values, colours, otherwise, exif)
 
 
 def read_labels(folder: Path) -> LabelMap | None:

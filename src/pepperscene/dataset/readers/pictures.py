@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 import warnings
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,29 @@ from pepperscene.user_files import open_file
 
 _ORIENTATION: Final = 0x0112
 """EXIF tag of the camera's orientation."""
+
+Exif = Literal["displayed", "stored"]
+"""Which pixels of a photograph a mask marks: as displayed, turned by the EXIF orientation, or as stored."""
+
+_UPRIGHT: Final = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x01\0\0\0\0\0\0"
+"""EXIF content, big-endian: one directory with the orientation 1."""
+
+_PNG_START: Final = 33  # bytes of the signature and of the first chunk, the image header
+
+EXIF_KEY: Final = "exif"
+"""Key of a table of labels that gives it."""
+
+_TURNED: Final[Mapping[int, Callable[[NDArray[Any]], NDArray[Any]]]] = {
+    1: lambda image: image,
+    2: lambda image: image[:, ::-1],
+    3: lambda image: image[::-1, ::-1],
+    4: lambda image: image[::-1],
+    5: lambda image: image.swapaxes(0, 1),
+    6: lambda image: image[::-1].swapaxes(0, 1),
+    7: lambda image: image[::-1, ::-1].swapaxes(0, 1),
+    8: lambda image: image[:, ::-1].swapaxes(0, 1),
+}
+"""How an image `(h, w, ...)` is turned for display by its orientation, as Pillow's `exif_transpose` does."""
 
 _FORMATS: Final = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 """Pillow's names of the formats that are read, whatever a file's suffix says. Pillow would otherwise choose
@@ -59,6 +84,11 @@ class MaskImage:
         assert image is not None
         return int(image.shape[0]), int(image.shape[1])
 
+    def turned(self, orientation: int) -> MaskImage:
+        """The mask turned for display, as a photograph with an EXIF orientation of 1 to 8."""
+        parts = (self.values, self.rgb, self.opaque)
+        return MaskImage(*(None if part is None else _TURNED[orientation](part) for part in parts))
+
 
 def read_photo(path: Path) -> NDArray[np.uint8]:
     """Read a photograph `(h, w, 3)` for display: rotated as its EXIF says, transparent parts black.
@@ -83,8 +113,113 @@ def photo_shape(path: Path) -> tuple[int, int]:
     """Height and width of a photograph as `read_photo` returns it, from the file header alone."""
     with _open_image(path) as image:
         width, height = image.size
-        # Orientations 5 to 8 swap rows and columns.
-        return (width, height) if image.getexif().get(_ORIENTATION, 1) >= 5 else (height, width)
+        return _displayed((height, width), _orientation(image))
+
+
+def mark_orientation(
+    shape: tuple[int, int], photo: Path, exif: Exif | None, where: Path, *, by_size: bool = True
+) -> int | None:
+    """EXIF orientation by which the marks on a photograph must be turned, so that they are on its objects.
+
+    1 for marks of the displayed photograph, as `read_photo` returns it; the photograph's orientation for
+    marks of the stored one.
+
+    Args:
+        shape: height and width of the image that was marked.
+        photo: its file.
+        exif: which of the two it was; None if only the sizes can tell.
+        where: the file of the marks, for messages.
+        by_size: whether the stored size shows that the stored pixels were marked.
+
+    Returns:
+        None if the photograph has another size.
+
+    Raises:
+        InputError: `exif` is None, and the size does not show which it was.
+    """
+    with _open_image(photo) as image:
+        width, height = image.size
+        orientation = _orientation(image)
+    sizes: dict[Exif, tuple[int, int]] = {
+        "displayed": _displayed((height, width), orientation),
+        "stored": (height, width),
+    }
+    fitting = [
+        name for name in (("displayed", "stored") if exif is None else (exif,)) if sizes[name] == shape
+    ]
+    if not fitting:
+        return None
+    if orientation != 1 and exif is None and (len(fitting) == 2 or (fitting == ["stored"] and not by_size)):
+        problem = (
+            f"may mark {photo.name} as displayed or as stored, before its EXIF orientation {orientation}"
+        )
+        raise InputError(where, f'{problem}; say which with {EXIF_KEY} = "displayed" or "stored"')
+    return orientation if fitting[0] == "stored" else 1
+
+
+def read_mask_of(photo: Path, path: Path, exif: Exif | None = None) -> MaskImage | None:
+    """Read the mask of a photograph, turned as `read_photo` turns the photograph; None for another size.
+
+    A mask that has an EXIF orientation itself is displayed by it.
+
+    Args:
+        photo: the photograph.
+        path: the mask.
+        exif: as of `mark_orientation`.
+
+    Raises:
+        InputError: as `read_mask` and `mark_orientation`.
+    """
+    # From the headers alone, before the mask is decoded.
+    with _open_image(path) as image:
+        width, height = image.size
+        shape, own = (height, width), image.getexif().get(_ORIENTATION)
+    turns: tuple[int, ...] = ()
+    if own in _TURNED and exif != "stored":
+        turns, shape, exif = (own,), _displayed(shape, own), "displayed"
+    orientation = mark_orientation(shape, photo, exif, path)
+    if orientation is None:
+        return None
+    mask = read_mask(path)
+    for turn in (*turns, orientation):
+        mask = mask.turned(turn)
+    return mask
+
+
+def turn_image(image: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """An image `(h, w, ...)` turned for display, by an EXIF orientation of 1 to 8; a view."""
+    return _TURNED[orientation](image)
+
+
+def is_turned(photo: Path) -> bool:
+    """Whether `read_photo` turns a photograph by its EXIF orientation."""
+    with _open_image(photo) as image:
+        return _orientation(image) != 1
+
+
+def with_upright_exif(png: bytes) -> bytes:
+    """A PNG file with the EXIF orientation 1: a mask of a turned photograph as displayed."""
+    chunk = b"eXIf" + _UPRIGHT
+    chunk = struct.pack(">I", len(_UPRIGHT)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return png[:_PNG_START] + chunk + png[_PNG_START:]
+
+
+def parse_exif(value: Any, source: str | Path) -> Exif:
+    """The value of `EXIF_KEY` in a table; raises `InputError` for another one."""
+    if value not in ("displayed", "stored"):
+        raise InputError(source, 'must be "displayed" or "stored"', key=EXIF_KEY, value=value)
+    return "displayed" if value == "displayed" else "stored"
+
+
+def _orientation(image: Any) -> int:
+    """EXIF orientation of a picture, 1 to 8; 1 if there is none, or another number."""
+    value = image.getexif().get(_ORIENTATION)
+    return int(value) if value in _TURNED else 1
+
+
+def _displayed(shape: tuple[int, int], orientation: int) -> tuple[int, int]:
+    """Height and width of a displayed picture; orientations 5 to 8 swap rows and columns."""
+    return shape if orientation < 5 else shape[::-1]
 
 
 def mask_shape(path: Path) -> tuple[int, int]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.dataset.execution.memory import MEMORY, memory_limits, report_memory_errors, shortage
 from pepperscene.dataset.recipe.plan import check_seed
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.dataset.scenes.frame_renderer import RendererFactory
     from pepperscene.geometry import ContactCounts, Mesh
-    from pepperscene.materials import Surface
 
 
 _MAX_DETAIL: Final = 8.0  # chosen: a plant of ten million triangles
@@ -32,7 +30,6 @@ _PER_TRIANGLE_BINARY: Final = 260.0
 """Bytes per triangle of the mesh, its file and its picture, by the format; measured 750 and 250."""
 _PROCESS, _PICTURE = 300e6, 700e6
 """Bytes of a process that grows a plant, and of the picture; measured 320 MB and 690 MB."""
-_NM: Final = np.arange(380.0, 781.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -93,7 +90,6 @@ def export_plant(
     """
     from pepperscene.dataset.scenes.plants import grow_plant, growth_stage
     from pepperscene.geometry import check_mesh_format, mesh_files
-    from pepperscene.materials import organ_surfaces
     from pepperscene.render import find_quality
 
     # Check all arguments before anything grows.
@@ -116,8 +112,7 @@ def export_plant(
         seconds = time.perf_counter() - start
 
         # Its files.
-        colours = surface_colours(organ_surfaces(cultivar_stage, _NM).values())
-        files = mesh_files(plant.mesh, path.name, colours)
+        files = mesh_files(plant.mesh, path.name)
         if picture:
             files[picture_path.name] = _picture_file(plant.mesh, cultivar_stage, quality, renderer)
     return PlantExport(
@@ -162,26 +157,3 @@ def _picture_file(mesh: Mesh, cultivar: Cultivar, quality: str, renderer: Render
     image = Image.fromarray(portrait(mesh, cultivar, quality, renderer))
     image.save(stream, format="PNG", optimize=True)
     return stream.getvalue()
-
-
-def surface_colours(surfaces: Iterable[Surface]) -> dict[str, NDArray[np.float64]]:
-    """`(s, 3)` linear sRGB by surface, one row per tabulated pigment state.
-
-    It is the diffuse reflectance of the front in D65, for the CIE 1931 observer; a perfect diffuser is 1, 1,
-    1.
-    """
-    from pepperscene.spectra import colour_science
-
-    colour = colour_science()
-    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    matching = np.stack([np.interp(_NM, observer.wavelengths, column) for column in observer.values.T])
-    light = colour.SDS_ILLUMINANTS["D65"]
-    weights = matching * np.interp(_NM, light.wavelengths, light.values)
-    weights /= weights[1].sum()
-    colours = {}
-    for surface in surfaces:
-        front = surface.reflectance[:, 0]
-        spectra = np.stack([np.interp(_NM, surface.wavelength_nm, row) for row in front])
-        rgb = colour.XYZ_to_RGB(spectra @ weights.T, "sRGB", apply_cctf_encoding=False)
-        colours[surface.name] = np.clip(np.asarray(rgb, dtype=float), 0.0, 1.0)
-    return colours

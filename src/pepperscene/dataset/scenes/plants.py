@@ -192,8 +192,17 @@ class PlantFactory:
 
 
 def plant_processes(processes: int | None = None) -> int:
-    """Processes for the plants of a set: the argument, `PROCESSES`, or 2 where there are two cores."""
-    text = str(processes) if processes is not None else os.environ.get(PROCESSES, "").strip()
+    """Processes for the plants of a set: the argument, `PROCESSES`, or 2 where there are two cores.
+
+    Raises:
+        ArgumentError: the argument is neither 1 nor 2.
+        InputError: the environment variable is neither.
+    """
+    if processes is not None:
+        if processes not in (1, 2):
+            raise ArgumentError("processes", f"must be 1 or 2, not {processes}")
+        return processes
+    text = os.environ.get(PROCESSES, "").strip()
     if text in ("1", "2"):
         return int(text)
     if text:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.point_arrays import as_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.truth.view_planning import ViewSequence, greedy_views, view_coverage
 
@@ -62,11 +63,11 @@ def compare_planners(
         draws: number of random sequences.
 
     Raises:
-        ArgumentError: there are fewer candidates than poses of the arc, there is no such fruit, or the draws
-            are less than 1.
+        ArgumentError: poses have another shape, there are fewer candidates than poses of the arc, there is
+            no such fruit, or the draws are less than 1.
     """
-    of_arc = np.asarray(arc, dtype=float).reshape(-1, 4, 4)
-    poses = np.asarray(candidates, dtype=float).reshape(-1, 4, 4)
+    of_arc = as_poses(arc, "arc")
+    poses = as_poses(candidates, "candidates")
     count = len(of_arc)
     if not 1 <= count <= len(poses):
         raise ArgumentError("arc", f"must have from 1 to {len(poses)} poses, not {count}")

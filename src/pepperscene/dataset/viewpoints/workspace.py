@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.point_arrays import as_points, as_positions
 from pepperscene.camera.poses import MOST_POSES, look_at
 from pepperscene.dataset.views.free_space import FreeSpace
 from pepperscene.errors import ArgumentError
@@ -65,6 +66,7 @@ class BoxWorkspace(Workspace):
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:
         """`(n,)` whether points are inside; its surface is a part of it."""
         low, high = self.bounds_m
+        points = as_points(points)
         return np.asarray(((low <= points) & (points <= high)).all(axis=1))
 
 
@@ -92,7 +94,9 @@ class SphereWorkspace(Workspace):
 
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:
         """`(n,)` whether points are inside; its surface is a part of it."""
-        return np.asarray(np.linalg.norm(points - np.array(self.centre_m), axis=1) <= self.radius_m)
+        return np.asarray(
+            np.linalg.norm(as_points(points) - np.array(self.centre_m), axis=1) <= self.radius_m
+        )
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ class FunctionWorkspace(Workspace):
         Raises:
             ArgumentError: the function does not return a Boolean for each point.
         """
+        points = as_points(points)
         inside = self.box.contains(points)
         reached: NDArray[Any] = np.asarray(self.function(points))
         if reached.shape != inside.shape or reached.dtype != np.bool_:
@@ -150,8 +155,16 @@ class ReachTest:
             )
 
     def __call__(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """`(n,)` whether `(n, 3)` positions are reachable: also above the floor and not inside an organ."""
-        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        """`(n,)` whether positions are reachable: also above the floor and not inside an organ.
+
+        Args:
+            points: `(n, 3)` world metres, or `(n, 4, 4)` poses of cameras, whose positions are tested; also
+                a single one.
+
+        Raises:
+            ArgumentError: the points have another shape.
+        """
+        points = as_positions(points)
         reachable = self.workspace.contains(points) & (points[:, 2] > 0.0)
         rows = np.flatnonzero(reachable)
         rows_free = self._space.is_free(points[rows], self.clearance_m)
@@ -177,7 +190,7 @@ def random_poses(reach: ReachTest, targets: ArrayLike, count: int, rng: np.rando
         rng: draws the positions.
 
     Raises:
-        ArgumentError: the count is not allowed, or the reachable part of the workspace is too small.
+        ArgumentError: an argument is not allowed, or the reachable part of the workspace is too small.
     """
     if not 1 <= count <= MOST_POSES:
         raise ArgumentError("random", f"must be from 1 to {MOST_POSES:,}, not {count}")
@@ -205,7 +218,7 @@ def lattice_poses(reach: ReachTest, targets: ArrayLike, spacing_m: float) -> Flo
         spacing_m: of the lattice, which is in the middle of the workspace's box.
 
     Raises:
-        ArgumentError: the spacing is not above 0, or gives no pose or too many.
+        ArgumentError: the targets are not as above, or the spacing is not above 0, gives no pose or too many.
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
         raise ArgumentError("spacing", f"must be a finite distance above 0, not {spacing_m:g} m")
@@ -235,7 +248,9 @@ def facing_poses(points: FloatArray, targets: ArrayLike) -> FloatArray:
     """
     from scipy.spatial import cKDTree
 
-    targets = np.asarray(targets, dtype=float).reshape(-1, 3)
+    targets = as_points(targets, "targets")
+    if not len(targets):
+        raise ArgumentError("targets", "must be at least one")
     nearest = targets[cKDTree(targets).query(points)[1]] if len(points) else points
     level = np.linalg.norm((points - nearest)[:, :2], axis=1) > _LEVEL
     poses = [look_at(point, target) for point, target in zip(points[level], nearest[level], strict=True)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.point_arrays import as_points
 from pepperscene.geometry import Mesh
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class FreeSpace:
 
     def clearance(self, points: ArrayLike) -> FloatArray:
         """`(n,)` exact distance in metres from `(n, 3)` points to the nearest triangle."""
-        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        points = as_points(points)
         # A centroid is a point of a surface, so nothing beyond the nearest one matters.
         nearest = np.full(len(points), np.inf)
         for group in self._classes:
@@ -92,7 +93,7 @@ class FreeSpace:
 
     def is_free(self, points: ArrayLike, clearance_m: float) -> NDArray[np.bool_]:
         """`(n,)` whether no surface is within a distance of `(n, 3)` points; faster than `clearance`."""
-        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        points = as_points(points)
         free = np.ones(len(points), dtype=bool)
         for group in self._classes:
             rows = np.flatnonzero(free)
@@ -113,7 +114,7 @@ class FreeSpace:
 
         Surfaces with a border, such as blades, have no inside.
         """
-        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        points = as_points(points)
         instances, low, high = self._boxes
         result = np.zeros(len(points), dtype=bool)
         for row, point in enumerate(points):

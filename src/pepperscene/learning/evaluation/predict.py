@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.open import open_images
-from pepperscene.dataset.readers.pictures import read_photo
+from pepperscene.dataset.readers.pictures import is_turned, read_photo, with_upright_exif
 from pepperscene.dataset.store.atomic import (
     canonical_json,
     check_can_create,
@@ -33,7 +33,7 @@ FOLDERS: Final = ("class", "class_colour")
 Source = ImageSet | str | Path
 """A set of images, a folder of one, or a picture."""
 
-_Reader = Callable[[], NDArray[np.uint8]]
+_Reader = Callable[[], tuple[NDArray[np.uint8], bool]]
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,12 @@ def predict(
     # Write two files for each image.
     try:
         for done, (name, read) in enumerate(readers.items(), start=1):
-            predicted = values[predict_classes(model, read(), merging)]
-            _write(folder / "class" / f"{name}.png", png_bytes(predicted, colours))
-            _write(folder / "class_colour" / f"{name}.png", png_bytes(palette[predicted]))
+            colour, turned = read()
+            predicted = values[predict_classes(model, colour, merging)]
+            contents = {"class": png_bytes(predicted, colours), "class_colour": png_bytes(palette[predicted])}
+            for kind, content in contents.items():
+                # Beside a turned photograph, the mask says that it is of the displayed one.
+                _write(folder / kind / f"{name}.png", with_upright_exif(content) if turned else content)
             if on_progress is not None:
                 on_progress(done, len(readers))
         _write(folder / CLASSES_NAME, canonical_json(_classes_json(table, values)))
@@ -151,19 +154,21 @@ def _readers_of(source: Source, half: str | None) -> Iterator[tuple[str, _Reader
         if not path.is_dir() and path.suffix != ".json":
             if not path.exists():
                 raise InputError(path, "must be a folder of images or a picture")
-            yield path.stem, lambda: read_photo(path)
+            yield path.stem, lambda: (read_photo(path), is_turned(path))
             return
         source = open_images(path, half=half)
-    images = source.select("colour")
+    images = source.select("colour", "metadata")
     for position, name in enumerate(images.names()):
         yield name, lambda position=position: _read_colour(images, position)  # type: ignore[misc]
 
 
-def _read_colour(images: ImageSet, position: int) -> NDArray[np.uint8]:
+def _read_colour(images: ImageSet, position: int) -> tuple[NDArray[np.uint8], bool]:
+    """Colours of an image, and whether they are those of a photograph that was turned for display."""
     image = images[position]
     if image.colour is None:
         raise InputError(images.name, f"{image.name} has no colours, from which a model predicts")
-    return image.colour
+    photo = image.metadata.get("image")
+    return image.colour, isinstance(photo, str) and is_turned(Path(photo))
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -187,7 +187,7 @@ def weights_as_bytes(tensors: Mapping[str, torch.Tensor], description: Mapping[s
         name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
         for name, tensor in tensors.items()
     }
-    return save(contiguous, {"description": json.dumps(description, sort_keys=True)})
+    return save(contiguous, {"description": json.dumps(description, sort_keys=True, allow_nan=False)})
 
 
 def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -196,7 +196,9 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
 
     try:
         with safe_open(check_file(file, "weights"), framework="pt") as content:
-            description = json.loads((content.metadata() or {}).get("description", "{}"))
+            text = (content.metadata() or {}).get("description", "{}")
+            # Not a number is an unknown one.
+            description = json.loads(text, parse_constant=lambda _: None)
             tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError, RecursionError) as error:
         raise InputError(file, f"cannot be read as safetensors ({' '.join(str(error).split())})") from None

@@ -29,7 +29,7 @@ class TrainingState:
 
     Attributes:
         step: number of finished steps.
-        best: highest mean IoU of a validation; None before the first one, or without validation.
+        best: highest mean IoU of a validation; None as long as there is none.
         best_step: at which it was reached.
         record: options, sets and versions, which must be the same to resume.
     """

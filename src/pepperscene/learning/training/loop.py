@@ -94,7 +94,7 @@ class TrainingLoop:
             ends = step % options.validate == 0 or step == options.steps
             mean_iou = None
             if ends:
-                mean_iou = self._validate(validation) if validation else None
+                mean_iou = _known(self._validate(validation)) if validation else None
                 state = self._checkpoint(folder, step, state, mean_iou, float(np.mean(losses)))
             if on_progress is not None:
                 rate = (step - start) * options.batch / (time.monotonic() - begin)
@@ -151,7 +151,8 @@ class TrainingLoop:
         """Write the network if it is the best one, the log, and last the state that a resumption reads."""
         folder.mkdir(parents=True, exist_ok=True)
         best, best_step = state.best, state.best_step
-        if mean_iou is None or best is None or mean_iou > best:
+        # Without a known quality so far, as without validation, the last state is the best one.
+        if best is None or (mean_iou is not None and mean_iou > best):
             best, best_step = mean_iou, step
             training = {**self.record, "step": step, "validation_mean_iou": mean_iou}
             replace(self.trained, training=training).save(folder / MODEL_FILE)
@@ -161,7 +162,7 @@ class TrainingLoop:
         return state
 
     def _validate(self, validation: Sequence[ImageSet]) -> float:
-        """Mean IoU over all images of the sets, in the classes of the labels."""
+        """Mean IoU over all images of the sets, in the classes of the labels; nan without labelled pixels."""
         merging = self.labels.merging(self.trained.classes)
         total = np.zeros((len(self.labels), len(self.labels)), np.int64)
         for images in validation:
@@ -171,6 +172,11 @@ class TrainingLoop:
                 prediction = predict_classes(self.trained, image.colour, merging)
                 total += confusion_matrix(self.labels.indices(image.classes), prediction, len(self.labels))
         return float(mean_intersection_over_union(total))
+
+
+def _known(mean_iou: float) -> float | None:
+    """None for nan, which is neither better nor worse than another value, and which JSON does not have."""
+    return mean_iou if math.isfinite(mean_iou) else None
 
 
 def _learning_rate(options: TrainingOptions, step: int) -> float:
@@ -206,8 +212,9 @@ def seeded(seed: int) -> Iterator[None]:
 
 def _find_device(name: str | None) -> torch.device:
     """A device of torch; raises `ArgumentError` if this machine does not have it."""
+    name = name or ("cuda" if torch.cuda.is_available() else "cpu")
     try:
-        device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
+        device = torch.device(name)
         float(torch.zeros(1, device=device))
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = str(error).strip().split("\n")[0]
@@ -229,4 +236,4 @@ def _truncate_log(file: Path, step: int) -> None:
 
 def _append_log(file: Path, entry: Mapping[str, Any]) -> None:
     with file.open("a", encoding="utf-8") as log:
-        log.write(json.dumps(entry, sort_keys=True) + "\n")
+        log.write(json.dumps(entry, sort_keys=True, allow_nan=False) + "\n")

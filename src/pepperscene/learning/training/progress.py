@@ -14,7 +14,7 @@ class TrainingProgress:
         loss: mean over the steps since the last validation or checkpoint.
         images_per_s: since the start or the resumption.
         left_s: estimated time to the end, in seconds.
-        mean_iou: of a validation after this step; None if there was none.
+        mean_iou: of a validation after this step; None if there was none, or no labelled pixel in it.
     """
 
     step: int

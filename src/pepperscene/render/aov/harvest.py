@@ -31,7 +31,7 @@ class SceneHarvest:
         organs: of the scene.
 
     Raises:
-        InputError: the scene has no skeleton.
+        ArgumentError: the scene has no skeleton, or its mesh was edited since it was assembled.
     """
 
     def __init__(self, scene: Scene, organs: IsolatedOrgans) -> None:
@@ -39,6 +39,7 @@ class SceneHarvest:
             raise ArgumentError(
                 "outputs", "harvest needs a scene that was assembled with its plants' skeleton"
             )
+        scene.skeleton.check_mesh(scene.mesh)
         self._mesh, self._skeleton, self._organs = scene.mesh, scene.skeleton, organs
         self._truths: dict[int, FruitTruth] = {}
         self._stem_axes: dict[int, NDArray[np.float64]] = {}

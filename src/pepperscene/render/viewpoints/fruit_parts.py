@@ -49,11 +49,12 @@ def scene_fruit(scene: Scene) -> list[FruitPart]:
     """The fruit of a scene's labelled plants that have triangles, in the order of their instances.
 
     Raises:
-        ArgumentError: the scene has no skeleton.
+        ArgumentError: the scene has no skeleton, or its mesh was edited since it was assembled.
     """
     skeleton = scene.skeleton
     if skeleton is None:
         raise ArgumentError("scene", "must be assembled with its plants' skeleton, which knows its fruit")
+    skeleton.check_mesh(scene.mesh)
     runs = scene.mesh.face_runs
     instances = [index for index in skeleton.of_form("fruit") if runs.stop[index] > runs.first[index]]
     return [

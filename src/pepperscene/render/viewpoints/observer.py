@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
+from pepperscene.camera.point_arrays import as_poses
 from pepperscene.camera.poses import check_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.render.kernel.arrays import local_coordinates
@@ -107,9 +108,10 @@ class FruitObserver:
             on_progress: called after each part of the poses.
 
         Raises:
-            ArgumentError: there are no poses, or one is not a rotation and a translation.
+            ArgumentError: there are no poses, they have another shape, or one is not a rotation and a
+                translation.
         """
-        poses = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
+        poses = as_poses(poses)
         try:
             check_poses(poses)
         except ValueError as error:
