@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.cultivar import Cultivar, Distribution, Slot
+from pepperscene.errors import InputError
 from pepperscene.grammar.hashing import Addresses, FloatArray, child_addresses, name_number, uniforms
 from pepperscene.grammar.plant import Indices
 
@@ -198,6 +199,7 @@ class TopologyBuilder:
 
     def __init__(self, cultivar: Cultivar, phytomers: Phytomers) -> None:
         self.organs, self.phytomers, self.node = cultivar.organs, phytomers, cultivar.stem.node
+        self.cultivar = cultivar.name
         self.limits = {
             name: model.depth for name, model in cultivar.organs.items() if model.depth is not None
         }
@@ -207,7 +209,7 @@ class TopologyBuilder:
         """Draw breadth first, so that a level's organs of one kind are drawn together.
 
         Raises:
-            ValueError: the plant has too many organs.
+            InputError: the plant has more than 200,000 organs.
         """
         level, groups = list(self._draw_node_items()), list[OrganGroup]()
         while level:
@@ -280,7 +282,8 @@ class TopologyBuilder:
         number = self.count + width * np.arange(row.size) + width - 1
         self.count += width * row.size
         if self.count > _MAX_ORGANS:
-            raise ValueError(f"the plant grows without end: more than {_MAX_ORGANS} organs with {name}")
+            problem = f"grows more than {_MAX_ORGANS:,} organs on a plant; its slots must bear fewer"
+            raise InputError(self.cultivar, problem, key=f"organs.{name}")
         depths = parents.depths[row]
         if name in self.limits:
             depths[:, list(self.limits).index(name)] += 1
