@@ -49,6 +49,7 @@ def attempt(tables: dict, changes: dict, outputs: tuple[str, ...]) -> bool:
     except PepperError as error:
         assert "\n" not in str(error)
         assert str(error)
+        LAST.append(str(error))
         return False
     for name in outputs:
         if name in OUTPUTS and hasattr(frame.images[name], "dtype"):

@@ -22,6 +22,8 @@ from pepperscene.document import validate
 
 WIDEST = {"mm": 1e6, "deg": 1e6, "": 1e6}
 """The greatest number of a file, by unit (`pepperscene.cultivar.notation`)."""
+_ABOVE = 1e-7
+"""The least number that is drawn of parameters that must be above 0."""
 BASES = {
     "leaf": ("petiole", "lamina"),
     "fruit": ("peduncle", "fruit"),
@@ -90,6 +92,8 @@ def distributions(draw, unit: str, low: float, high: float) -> dict:
     if family == "value":
         return {f"value{suffix}": draw(values), "chosen": "drawn"}
     first, last = sorted((draw(values), draw(values)))
+    if not last - first > 1e-6 * max(abs(first), abs(last), 1e-6):
+        return {f"value{suffix}": last, "chosen": "drawn"}
     if family == "uniform":
         return {f"uniform{suffix}": [first, last], "chosen": "drawn"}
     if family == "histogram":
@@ -134,6 +138,7 @@ def _of_distribution(field: FieldInfo) -> st.SearchStrategy:
             unit = function.args[0]
         if isinstance(meta, AfterValidator) and isinstance(function, partial):
             low = max(low, function.keywords.get("minimum", -math.inf))
+            low += _ABOVE if function.keywords.get("exclusive") else 0.0
             high = min(high, function.keywords.get("maximum", math.inf))
     scale = {"mm": 1e3, "deg": 180.0 / math.pi, "": 1.0}[unit]
     return distributions(unit, max(low * scale, -WIDEST[unit]), min(high * scale, WIDEST[unit]))
@@ -206,6 +211,8 @@ KEPT = {
     "row.plants_front", "row.plants_back", "camera.width", "camera.height", "greenhouse.far_reach_mm",
     "greenhouse.far_rows", "plan.sets", "plan.rotations", "plan.frames", "plan.twins", "plan.cameras",
     "growth.share", "seed",
+    # Given together only.
+    "camera.fx", "camera.fy", "camera.cx", "camera.cy",
 }  # fmt: skip
 
 
@@ -218,7 +225,7 @@ def recipe_keys(model: type[BaseModel] = Recipe, above: str = "") -> dict[str, F
         tables = [part for part in options if isinstance(part, type) and issubclass(part, BaseModel)]
         if tables:
             found |= recipe_keys(tables[0], f"{key}.")
-        elif key not in KEPT and set(types_of(field)) & {int, float, bool}:
+        elif key not in KEPT and not key.startswith("depth_camera.") and set(types_of(field)) & {int, float, bool}:
             found[key] = field
     return found
 
