@@ -224,6 +224,24 @@ def test_raises_on_an_endless_plant(kaite: Cultivar) -> None:
         grow(kaite.model_copy(update={"organs": organs}), np.random.default_rng(0))
 
 
+@pytest.mark.parametrize("pairs", [False, True])
+def test_a_valid_recursion_with_too_many_organs_is_one_sentence(tmp_path: Path, pairs: bool) -> None:
+    text = f"""
+[organs.side_shoot]
+depth = 8
+[[organs.side_shoot.bears]]
+name = "more"
+what = {{ side_shoot = 1, chosen = "for a test" }}
+count = {{ twelve = 1, chosen = "for a test" }}
+pairs = {str(pairs).lower()}
+aside = {{ value_deg = 40, chosen = "for a test" }}
+"""
+    cultivar = child_of_kaite(tmp_path, text)
+    with pytest.raises(InputError, match=r"organs[.]\w+: grows more than 200,000 organs on a plant") as error:
+        grow(cultivar, np.random.default_rng(0))
+    assert "\n" not in str(error.value)
+
+
 def test_a_bare_stem_grows(kaite: Cultivar) -> None:
     node = kaite.organs["node"].model_copy(update={"bears": ()})
     stem = kaite.stem.model_copy(update={"parts": 3, "young_nodes": 0})

@@ -76,10 +76,11 @@ def measured_images(
 def is_detected(electrons: Array, camera: Camera) -> NDArray[np.bool_]:
     """Whether expected electrons of a photosite are `LEAST_SIGNAL` times their noise or more.
 
-    The noise is that of photons, of reading, and of rounding to digital numbers.
+    The noise is that of photons, of reading, and of rounding to digital numbers, if the camera has them.
     """
-    sensor = camera.sensor
-    variance = electrons + sensor.read_noise_e**2 + sensor.gain_e_per_dn**2 / 12.0
+    sensor, steps = camera.sensor, camera.developing
+    variance = steps.shot_noise * electrons + steps.read_noise * sensor.read_noise_e**2
+    variance = variance + steps.quantise * sensor.gain_e_per_dn**2 / 12.0
     return np.asarray((electrons > 0.0) & (electrons >= LEAST_SIGNAL * np.sqrt(variance)))
 
 
