@@ -138,7 +138,11 @@ def test_tum_files_that_are_not_allowed(text, message, tmp_path):
 
 
 TIMES = {
-    "1e-308 apart": ("0", "1e-308", "line 3, time = 1e-308: must be after the time before it, 0.0, by 1e-06 s"),
+    "1e-308 apart": (
+        "0",
+        "1e-308",
+        "line 3, time = 1e-308: must be after the time before it, 0.0, by 1e-06 s",
+    ),
     "denormal": ("0", "5e-324", "line 3, time = 5e-324: must be after"),
     "equal": ("1", "1", "line 3, time = 1.0: must be after"),
     "minus zero": ("0", "-0.0", "line 3, time = -0.0: must be after"),

@@ -105,7 +105,7 @@ class OneFrame:
         self.pose = pose
 
     def render(self, spec, outputs, quality):
-        return Frame({name: None for name in outputs}, {"camera": {"pose": self.pose.tolist()}})
+        return Frame(dict.fromkeys(outputs), {"camera": {"pose": self.pose.tolist()}})
 
 
 @pytest.mark.parametrize(("shift_m", "is_same"), [(0.0, True), (1e-3, False)])

@@ -284,7 +284,9 @@ def test_recipes_in_folders_whose_names_are_not_utf_8(tmp_path):
     for name in (b"plain", b"caf\xe9", "\u00e9".encode()):
         folder = tmp_path / os.fsdecode(name)
         folder.mkdir()
-        (folder / "poses.csv").write_text("t_s,x_m,y_m,z_m,yaw_deg,pitch_deg\n0,0,-0.8,1,0,0\n1,0,-0.8,1.1,0,0\n")
+        (folder / "poses.csv").write_text(
+            "t_s,x_m,y_m,z_m,yaw_deg,pitch_deg\n0,0,-0.8,1,0,0\n1,0,-0.8,1.1,0,0\n"
+        )
         cultivar = "extends = 'kaite'\nname = 'Mine'\nspecies = 'Capsicum annuum'\nsource = 'chosen'\n"
         (folder / "mine_plant.toml").write_text(cultivar)
         text = "extends = 'barth2018'\nname = 'mine'\ncultivar = 'mine_plant.toml'\n[views]\n"

@@ -1,4 +1,4 @@
-"""Cultivars and recipes over the whole range that validation admits: strategies made of the models' own bounds."""
+"""Cultivars and recipes over the whole range that validation admits, drawn by the models' own bounds."""
 
 from __future__ import annotations
 
@@ -69,7 +69,9 @@ def types_of(field: FieldInfo) -> list[object]:
     """The types of a field without their bounds, and without None."""
     annotation = field.annotation
     is_union = type(None) in typing.get_args(annotation)
-    options = [part for part in typing.get_args(annotation) if part is not type(None)] if is_union else [annotation]
+    options = (
+        [part for part in typing.get_args(annotation) if part is not type(None)] if is_union else [annotation]
+    )
     return [typing.get_args(part)[0] if hasattr(part, "__metadata__") else part for part in options]
 
 
@@ -78,7 +80,7 @@ def numbers_between(low: float, high: float) -> st.SearchStrategy[float]:
     low, high = max(low, -1e6), min(high, 1e6)
     ends = [low, high, math.nextafter(low, math.inf), math.nextafter(high, -math.inf)]
     ends += [0.0] if low <= 0 <= high else []
-    sizes = [size for size in (1e-300, 1e-9, 1e-6, 1e-4, 1e-3, 0.01, 0.1, 1.0, 10.0, 100.0, 1e3, 1e5)]
+    sizes = (1e-300, 1e-9, 1e-6, 1e-4, 1e-3, 0.01, 0.1, 1.0, 10.0, 100.0, 1e3, 1e5)
     ends += [sign * size for size in sizes for sign in (1.0, -1.0) if low <= sign * size <= high]
     return st.one_of(st.sampled_from(ends), st.floats(low, high, allow_subnormal=False))
 
@@ -234,7 +236,11 @@ def recipe_keys(model: type[BaseModel] = Recipe, above: str = "") -> dict[str, F
         tables = [part for part in options if isinstance(part, type) and issubclass(part, BaseModel)]
         if tables:
             found |= recipe_keys(tables[0], f"{key}.")
-        elif key not in KEPT and not key.startswith("depth_camera.") and set(types_of(field)) & {int, float, bool}:
+        elif (
+            key not in KEPT
+            and not key.startswith("depth_camera.")
+            and set(types_of(field)) & {int, float, bool}
+        ):
             found[key] = field
     return found
 

@@ -169,7 +169,7 @@ def ascending_times(times: list[float], path: Path, label: Label) -> Array:
         raise InputError(path, problem, key=f"{label(number)}, time", value=times[number])
     if (wrong := too_close(values)).any():
         number = int(np.argmax(wrong)) + 1
-        problem = f"must be after the time before it, {times[number - 1]!r}, by {LEAST_INTERVAL_S:g} s or more"
+        problem = f"must be after the time before it, {times[number - 1]!r}, by {LEAST_INTERVAL_S:g} s"
         raise InputError(path, problem, key=f"{label(number)}, time", value=times[number])
     return values
 

@@ -23,8 +23,8 @@ from pepperscene.spectra.spectrum import FloatArray
 PATTERN_SEED: Final = 112_135
 """Seed of all patterns: chosen; patterns belong to the cultivar, not to a frame."""
 SIZES_MM: Final = (5.0, 1000.0)
-"""Extents for which textures are drawn; those of smaller and larger organs are scaled, relief included. Chosen:
-the finest grain is lost on smaller ones, and the time to draw larger ones grows with their area."""
+"""Extents for which textures are drawn; those of smaller and larger organs are scaled, relief included.
+Chosen: the finest grain is lost on smaller ones, and the time to draw larger ones grows with their area."""
 
 
 def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Surface]:
@@ -101,7 +101,9 @@ def _drawn_surface(
     if form == "fruit":
         mean = {key: value.mean for key, value in cultivar.organs[kind].distributions.items()}
         # Over the girth that textures are drawn for.
-        calyx_mm = 1e3 * mean["calyx_radius"] * mean["diameter"] * (size_mm[0] / (1e3 * np.pi * mean["diameter"]))
+        calyx_mm = (
+            1e3 * mean["calyx_radius"] * mean["diameter"] * (size_mm[0] / (1e3 * np.pi * mean["diameter"]))
+        )
         return fruit_surface(name, path, nm, size_mm, calyx_mm, _fruit_skin(cultivar.organs[kind]), rng)
     return green_surface(name, form, path, nm, size_mm, rng)
 

@@ -40,8 +40,8 @@ STYLE_SCAR_MM: Final = 2.2  # chosen: radius of the corky scar at the blossom en
 DUST: Final = 0.006  # chosen: cover of the skin outside scars and russet, dried drops of spray
 SCRATCHES: Final = 1.2  # chosen: mean number of healed scratches of a fruit
 _LEAST_OWN: Final = 1e-6
-"""Of the part of a field that no other has, over the largest such part. Chosen: a hundred times the rounding of
-the fields, which are sums in single precision."""
+"""Of the part of a field that no other has, over the largest such part. Chosen: ten times the rounding of the
+fields, which are sums in single precision."""
 _WAVES: Final = 14  # chosen: enough that no single one shows as a stripe
 _ALL_ROWS: Final = slice(None)
 _COVER: Final = 0.5, 0.8, 0.5  # chosen: of the lines of russet, the scar of the style, and scratches
@@ -64,7 +64,9 @@ def uncorrelated(fields: FloatArray) -> FloatArray:
     if own.min() > _LEAST_OWN * own.max():
         return np.asarray(np.linalg.solve(factor, flat)).reshape(fields.shape)
     spread = np.sqrt(np.diag(covariance))[:, None]
-    return np.asarray(np.divide(flat, spread, out=np.zeros_like(flat), where=spread > 0.0)).reshape(fields.shape)
+    return np.asarray(np.divide(flat, spread, out=np.zeros_like(flat), where=spread > 0.0)).reshape(
+        fields.shape
+    )
 
 
 @dataclass(frozen=True, eq=False)

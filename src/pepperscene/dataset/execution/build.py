@@ -274,8 +274,8 @@ def _unlit_notes(dataset: Dataset, indices: Sequence[int], outputs: tuple[str, .
     if counts:
         bands = ", ".join(str(band + 1) for band in sorted(counts))
         yield (
-            f"in {max(counts.values())} of {len(indices)} frames the light on the white reference is too weak in "
-            f"band{'' if len(counts) == 1 else 's'} {bands}: the reflectance is nan there"
+            f"in {max(counts.values())} of {len(indices)} frames the light on the white reference is too weak "
+            f"in band{'' if len(counts) == 1 else 's'} {bands}: the reflectance is nan there"
         )
 
 

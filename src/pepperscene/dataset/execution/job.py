@@ -265,9 +265,10 @@ def _check_same_pose(frame: Frame, status: FrameStatus, index: int, recipe: Reci
     before = recorded.get("pose") if isinstance(recorded, dict) else None
     if not status.outputs or before is None or not isinstance(recipe.views, FunctionViews):
         return
-    if np.shape(before) != (4, 4) or not np.allclose(before, frame.metadata["camera"]["pose"], rtol=0, atol=1e-9):
+    pose = frame.metadata["camera"]["pose"]
+    if np.shape(before) != (4, 4) or not np.allclose(before, pose, rtol=0, atol=1e-9):
         problem = (
-            f"gives another pose for frame {index} than the one that is recorded, so outputs cannot be added; "
+            f"gives another pose for frame {index} than the recorded one, so outputs cannot be added; "
             "it must draw random numbers from rng only"
         )
         raise InputError(recipe.views.file, problem, key=recipe.views.function)

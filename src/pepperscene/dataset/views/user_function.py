@@ -75,7 +75,9 @@ def read_only(value: Any) -> Any:
     result = copy.copy(value)
     # Cached properties are among the attributes, which the fields of a class with slots are not.
     names = [field.name for field in dataclasses.fields(value)]
-    attributes: Mapping[str, Any] = {name: getattr(value, name) for name in names} | getattr(value, "__dict__", {})
+    attributes: Mapping[str, Any] = {name: getattr(value, name) for name in names} | getattr(
+        value, "__dict__", {}
+    )
     for name, item in attributes.items():
         object.__setattr__(result, name, read_only(item))
     return result
