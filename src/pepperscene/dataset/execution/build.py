@@ -274,7 +274,7 @@ def _unlit_notes(dataset: Dataset, indices: Sequence[int], outputs: tuple[str, .
     if counts:
         bands = ", ".join(str(band + 1) for band in sorted(counts))
         yield (
-            f"in {max(counts.values())} of {len(indices)} frames the light on the white reference is too weak "
+            f"in {max(counts.values())} of {len(indices)} frames the white reference has too little light "
             f"in band{'' if len(counts) == 1 else 's'} {bands}: the reflectance is nan there"
         )
 
