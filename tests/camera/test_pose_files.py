@@ -24,6 +24,7 @@ from pepperscene.camera import (
     write_poses,
 )
 from pepperscene.camera.calibration import CameraCalibration
+from pepperscene.camera.paths import trajectory_from_poses
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 FORMATS = {"tum": "poses.txt", "csv": "poses.csv", "nerfstudio": "transforms.json", "colmap": "model"}
@@ -134,6 +135,43 @@ def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
 def test_tum_files_that_are_not_allowed(text, message, tmp_path):
     with pytest.raises(InputError, match=f"poses.txt: {message}"):
         read_poses(written(tmp_path / "poses.txt", text))
+
+
+TIMES = {
+    "1e-308 apart": (
+        "0",
+        "1e-308",
+        "line 3, time = 1e-308: must be after the time before it, 0.0, by 1e-06 s",
+    ),
+    "denormal": ("0", "5e-324", "line 3, time = 5e-324: must be after"),
+    "equal": ("1", "1", "line 3, time = 1.0: must be after"),
+    "minus zero": ("0", "-0.0", "line 3, time = -0.0: must be after"),
+    "reversed": ("2", "1", "line 3, time = 1.0: must be after"),
+    "a nanosecond apart": ("1", "1.000000001", "line 3, time = 1.000000001: must be after"),
+    "huge": ("0", "1e308", "line 3, time = 1e\\+308: must be from -1e\\+12 to 1e\\+12 s"),
+    "huge on both sides": ("-1.7e308", "1.7e308", "line 2, time = -1.7e\\+308: must be from"),
+    "not a number": ("0", "nan", "line 3, t_s = 'nan': must be a finite number"),
+    "infinite": ("0", "inf", "line 3, t_s = 'inf': must be a finite number"),
+}
+
+
+@pytest.mark.parametrize("name", TIMES)
+def test_times_from_which_no_velocity_can_be_computed(name, tmp_path):
+    first, last, message = TIMES[name]
+    text = f"t_s,x_m,y_m,z_m,yaw_deg,pitch_deg\n{first},0,-0.8,1,0,0\n{last},0,-0.8,1.1,5,0\n"
+    with pytest.raises(InputError, match=message) as error:
+        read_poses(written(tmp_path / "poses.csv", text))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("times", [(0, 1e-6), (1.7e9, 1.7e9 + 1e-6), (-1e12, 1e12), (0, 1e-3)])
+def test_times_of_the_whole_range_give_finite_velocities(times, tmp_path):
+    text = "t_s,x_m,y_m,z_m,yaw_deg,pitch_deg\n"
+    text += "".join(f"{time!r},{place},-0.8,1,{90 * place},0\n" for place, time in enumerate(times))
+    poses = read_poses(written(tmp_path / "poses.csv", text))
+    path = trajectory_from_poses(poses.poses, poses.times_s)
+    assert np.isfinite(path.velocity_m_s).all()
+    assert np.isfinite(path.angular_velocity_rad_s).all()
 
 
 def test_more_than_100_000_poses_are_refused(tmp_path):

@@ -276,3 +276,25 @@ def test_a_faulty_function_is_one_sentence_with_its_file(with_function, tmp_path
         renderer.camera(renderer.recipe.plan.frame(0))
     assert caught.value.where == str(tmp_path / "views.py")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems have text as file names")
+def test_recipes_in_folders_whose_names_are_not_utf_8(tmp_path):
+    digests = set()
+    for name in (b"plain", b"caf\xe9", "\u00e9".encode()):
+        folder = tmp_path / os.fsdecode(name)
+        folder.mkdir()
+        (folder / "poses.csv").write_text(
+            "t_s,x_m,y_m,z_m,yaw_deg,pitch_deg\n0,0,-0.8,1,0,0\n1,0,-0.8,1.1,0,0\n"
+        )
+        cultivar = "extends = 'kaite'\nname = 'Mine'\nspecies = 'Capsicum annuum'\nsource = 'chosen'\n"
+        (folder / "mine_plant.toml").write_text(cultivar)
+        text = "extends = 'barth2018'\nname = 'mine'\ncultivar = 'mine_plant.toml'\n[views]\n"
+        (folder / "mine.toml").write_text(text + "kind = 'poses'\nfile = 'poses.csv'\n")
+        resolved = resolve_recipe(folder / "mine.toml")
+        views = CameraViews(FrameSetups(resolved), lambda setup: Greenhouse())
+        np.testing.assert_allclose(views.camera(resolved.recipe.plan.frame(1)).pose[:3, 3], [0.0, -0.8, 1.1])
+        assert resolved.cultivar.name == "Mine"
+        digests.add(resolved.recipe.sha256())
+    # Folders are not part of a recipe's identity.
+    assert len(digests) == 1

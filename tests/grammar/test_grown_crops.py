@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pepperscene.cultivar import Cultivar, load_cultivar
+from pepperscene.errors import InputError
 from pepperscene.grammar import Organ, Plant, build_plant, draw_parameters, grow
 
 SIGNIFICANCE = 1e-3
@@ -219,8 +220,26 @@ def test_raises_on_an_endless_plant(kaite: Cultivar) -> None:
     slot = shoot.bears[0].model_copy(update={"what": what})
     endless = shoot.model_copy(update={"depth": None, "bears": (slot,)})
     organs = {**kaite.organs, "side_shoot": endless}
-    with pytest.raises(ValueError, match="without end"):
+    with pytest.raises(InputError, match=r"organs[.]side_shoot: grows more than 200,000 organs"):
         grow(kaite.model_copy(update={"organs": organs}), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("pairs", [False, True])
+def test_a_valid_recursion_with_too_many_organs_is_one_sentence(tmp_path: Path, pairs: bool) -> None:
+    text = f"""
+[organs.side_shoot]
+depth = 8
+[[organs.side_shoot.bears]]
+name = "more"
+what = {{ side_shoot = 1, chosen = "for a test" }}
+count = {{ twelve = 1, chosen = "for a test" }}
+pairs = {str(pairs).lower()}
+aside = {{ value_deg = 40, chosen = "for a test" }}
+"""
+    cultivar = child_of_kaite(tmp_path, text)
+    with pytest.raises(InputError, match=r"organs[.]\w+: grows more than 200,000 organs on a plant") as error:
+        grow(cultivar, np.random.default_rng(0))
+    assert "\n" not in str(error.value)
 
 
 def test_a_bare_stem_grows(kaite: Cultivar) -> None:

@@ -131,3 +131,28 @@ def test_light_between_cards_is_part_of_the_measured_reflectance():
     quality = replace(QUALITY, bounces=1)
     frame = Renderer(assemble_scene(mesh, surfaces, EVEN_SKY)).render(camera, ("reflectance",), quality)
     assert not np.allclose(frame["reflectance"].mean(), 0.5, rtol=0.01)
+
+
+def test_without_light_on_the_panel_reflectance_is_not_a_number():
+    frame = measured(band_camera(), lambertian_surface("grey", 0.5), None, WhiteReference())
+    assert np.isnan(frame["reflectance"]).all()
+    assert frame.metadata["white_reference"]["bands_without_light"] == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(("illuminance_lx", "is_detected"), [(1e-6, False), (0.01, False), (2e4, True)])
+def test_reflectance_needs_a_signal_of_three_times_the_noise(illuminance_lx, is_detected):
+    sky = partly_cloudy_sky(
+        np.random.default_rng(3),
+        illuminance_lx=illuminance_lx,
+        sun_azimuth_rad=0.0,
+        sun_elevation_rad=0.9,
+        sun_fraction=0.0,
+        cloud_cover=0.5,
+    )
+    camera = replace(band_camera(), developing=Developing())
+    panel = WhiteReference(facing="up")
+    frame = measured(camera, lambertian_surface("grey", 0.5), sky, panel)
+    assert np.isfinite(frame["reflectance"]).all() == is_detected
+    assert ("bands_without_light" in frame.metadata["white_reference"]) == (not is_detected)
+    # Never a quotient of noise by nearly nothing.
+    assert np.nanmax(np.abs(frame["reflectance"]), initial=0.0) < 10.0

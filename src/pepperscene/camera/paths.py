@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.curves import SmoothCurve, curve_through
-from pepperscene.camera.poses import MOST_POSES, check_poses, check_times, pose_along
+from pepperscene.camera.poses import MOST_POSES, check_intervals, check_poses, check_times, pose_along
 
 Array = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ def trajectory_from_poses(
 
     Args:
         poses: camera to world, with any roll.
-        times_s: ascending.
+        times_s: ascending, at least a microsecond apart.
         centre: x and y that are added to the positions.
 
     Raises:
@@ -141,7 +141,7 @@ def trajectory_from_poses(
         raise ValueError("a trajectory needs as many poses (n, 4, 4) as times (n,), and at least one")
     if len(times) > MOST_POSES:
         raise ValueError(f"{len(times):,} poses are too many; at most {MOST_POSES:,} are allowed")
-    check_times(times)
+    check_intervals(times)
     check_poses(matrices)
     matrices[:, :2, 3] += centre
     if len(times) == 1:

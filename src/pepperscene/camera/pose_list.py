@@ -12,7 +12,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.poses import MOST_POSES, check_poses, check_times
+from pepperscene.camera.poses import (
+    LATEST_S,
+    LEAST_INTERVAL_S,
+    MOST_POSES,
+    check_intervals,
+    check_poses,
+    too_close,
+)
 from pepperscene.errors import InputError
 
 Array = NDArray[np.float64]
@@ -50,7 +57,7 @@ class PoseList:
             times = np.array(self.times_s, dtype=float)
             if times.shape != (len(poses),):
                 raise ValueError("there must be one time for each pose")
-            check_times(times)
+            check_intervals(times)
             times.setflags(write=False)
             object.__setattr__(self, "times_s", times)
         if self.names is not None:
@@ -153,13 +160,16 @@ def ascending_times(times: list[float], path: Path, label: Label) -> Array:
     """Times `(n,)` of a file.
 
     Raises:
-        InputError: they are not ascending, or two are equal.
+        InputError: one is beyond `LATEST_S`, or not at least `LEAST_INTERVAL_S` after the one before it.
     """
     values = np.array(times)
-    steps = np.diff(values)
-    if (wrong := steps <= 0).any():
+    if (wrong := ~(np.abs(values) <= LATEST_S)).any():
+        number = int(np.argmax(wrong))
+        problem = f"must be from {-LATEST_S:g} to {LATEST_S:g} s"
+        raise InputError(path, problem, key=f"{label(number)}, time", value=times[number])
+    if (wrong := too_close(values)).any():
         number = int(np.argmax(wrong)) + 1
-        problem = f"must be after the time before it, {times[number - 1]!r}"
+        problem = f"must be after the time before it, {times[number - 1]!r}, by {LEAST_INTERVAL_S:g} s"
         raise InputError(path, problem, key=f"{label(number)}, time", value=times[number])
     return values
 

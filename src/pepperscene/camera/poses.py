@@ -14,6 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 MOST_POSES: Final = 100_000
 """In a list, a grid or a path. Chosen: more than an hour at 25 frames per second, in 13 MB."""
+LEAST_INTERVAL_S: Final = 1e-6
+"""Between the times of two poses. Chosen: no camera takes a million images a second, and velocities computed
+from shorter intervals have no digits."""
+LATEST_S: Final = 1e12
+"""Of times, before and after 0. Chosen: 30,000 years, far beyond any clock."""
 _TOLERANCE: Final = 1e-6  # of a rotation's entries, as in `Camera`
 
 
@@ -157,6 +162,26 @@ def check_times(times_s: NDArray[np.float64]) -> None:
     """
     if not np.isfinite(times_s).all() or not np.all(np.diff(times_s) > 0):
         raise ValueError("times must be finite and ascending, without duplicates")
+
+
+def check_intervals(times_s: NDArray[np.float64]) -> None:
+    """Check that velocities can be computed from times `(n,)`.
+
+    Raises:
+        ValueError: they are not ascending, within `LATEST_S` and at least `LEAST_INTERVAL_S` apart.
+    """
+    if not np.all(np.abs(times_s) <= LATEST_S) or too_close(times_s).any():
+        allowed = f"at least {LEAST_INTERVAL_S:g} s apart, from {-LATEST_S:g} to {LATEST_S:g} s"
+        raise ValueError(f"times must be ascending, {allowed}")
+
+
+def too_close(times_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """`(n - 1,)` whether a time is not at least `LEAST_INTERVAL_S` after the time before it.
+
+    Differences of large times are rounded, which does not count.
+    """
+    rounding = np.spacing(np.abs(times_s).max(initial=0.0))
+    return np.asarray(~(np.diff(times_s) >= LEAST_INTERVAL_S - rounding) | ~(np.diff(times_s) > 0))
 
 
 def _facing(

@@ -14,6 +14,10 @@ from pepperscene.camera.flash import Flash
 Array = NDArray[np.float64]
 Facing = Literal["camera", "up"]
 
+UNLIT_BANDS: Final = "bands_without_light"
+"""Key of a frame's JSON, under `white_reference`: the bands, from 0, whose reflectance is nan somewhere,
+because the panel has too little light; missing if there are none."""
+
 _RINGS, _SPOKES = 8, 32  # points on an emitter's disc; chosen: exact to 1e-6 at twice its radius
 _UP: Final = (0.0, 0.0, 1.0)
 

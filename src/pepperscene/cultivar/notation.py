@@ -242,12 +242,20 @@ def _check_once_per_plant(distribution: Distribution) -> Distribution:
     return distribution
 
 
-_Positive: Final = AfterValidator(partial(_check_range, minimum=0.0, exclusive=True))
-Size = Annotated[Length, _Positive]
+SMALLEST_M: Final = 1e-6
+"""Chosen: a plant cell is ten times as long; shorter organs are typing errors."""
+LONGEST_M: Final = 3.0
+"""Chosen: no leaf or stem section of a crop grown on strings is longer, and this catches metres instead of
+millimetres."""
+_LARGEST_FACTOR: Final = 1e3  # chosen: of ratios and of numbers of teeth; greater ones are typing errors
+
+Size = Annotated[Length, AfterValidator(partial(_check_range, minimum=SMALLEST_M, maximum=LONGEST_M))]
 """A length without which the organ would vanish."""
-Width = Annotated[Length, AfterValidator(partial(_check_range, minimum=0.0))]
-Factor = Annotated[Ratio, _Positive]
-Amount = Annotated[Ratio, AfterValidator(partial(_check_range, minimum=0.0))]
+Width = Annotated[Length, AfterValidator(partial(_check_range, minimum=0.0, maximum=LONGEST_M))]
+Factor = Annotated[
+    Ratio, AfterValidator(partial(_check_range, minimum=0.0, maximum=_LARGEST_FACTOR, exclusive=True))
+]
+Amount = Annotated[Ratio, AfterValidator(partial(_check_range, minimum=0.0, maximum=_LARGEST_FACTOR))]
 Fraction = Annotated[Ratio, AfterValidator(partial(_check_range, minimum=0.0, maximum=1.0))]
 OncePerPlant: Final = AfterValidator(_check_once_per_plant)
 """Marks a distribution from which each plant draws one value."""

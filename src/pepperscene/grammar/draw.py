@@ -58,7 +58,7 @@ def draw_parameters(cultivar: Cultivar, rng: np.random.Generator, lean: float = 
         lean: radians, added to the drawn lean of the stem; positive towards the aisle.
 
     Raises:
-        ValueError: the cultivar's organs bear one another without end.
+        InputError: the cultivar's organs bear one another until a plant has more than 200,000 of them.
     """
     phytomers = Phytomers.of(cultivar, draw_key(rng))
     organs = _draw_stem(cultivar, phytomers, lean)

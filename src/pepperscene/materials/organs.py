@@ -22,6 +22,9 @@ from pepperscene.spectra.spectrum import FloatArray
 
 PATTERN_SEED: Final = 112_135
 """Seed of all patterns: chosen; patterns belong to the cultivar, not to a frame."""
+SIZES_MM: Final = (5.0, 1000.0)
+"""Extents for which textures are drawn; those of smaller and larger organs are scaled, relief included.
+Chosen: the finest grain is lost on smaller ones, and the time to draw larger ones grows with their area."""
 
 
 def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Surface]:
@@ -57,6 +60,19 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
 
 def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> Surface:
     """Surface of the organs of one kind."""
+    size_mm = _size_mm(cultivar, kind, cultivar.kinds[kind].form)
+    drawn_mm = float(np.clip(size_mm[0], *SIZES_MM)), float(np.clip(size_mm[1], *SIZES_MM))
+    surface = _drawn_surface(cultivar, kind, name, nm, drawn_mm)
+    scale = min(size / drawn for size, drawn in zip(size_mm, drawn_mm, strict=True))
+    if scale == 1.0 or surface.relief_mm is None:
+        return surface
+    return replace(surface, relief_mm=np.float32(scale) * surface.relief_mm)
+
+
+def _drawn_surface(
+    cultivar: Cultivar, kind: str, name: str, nm: FloatArray, size_mm: tuple[float, float]
+) -> Surface:
+    """Surface of the organs of one kind, with textures of this size."""
     form = cultivar.kinds[kind].form
     # A pattern depends on the name alone, so that adding a surface does not change the others.
     words = np.frombuffer(sha256(name.encode()).digest(), dtype="<u4").tolist()
@@ -64,7 +80,7 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     if name == "cut":
         stem = cultivar.kinds[cultivar.stem.node].surface
         return cut_surface(cultivar.pigments[stem], nm, rng)
-    path, size_mm = cultivar.pigments[name], _size_mm(cultivar, kind, form)
+    path = cultivar.pigments[name]
     blade = cultivar.organs.get(kind)
     if isinstance(blade, Blade):
         outline = blade.distributions
@@ -84,7 +100,10 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
         return replace(leaf_surface(name, path, nm), pattern=streaks[None].astype(np.float32))
     if form == "fruit":
         mean = {key: value.mean for key, value in cultivar.organs[kind].distributions.items()}
-        calyx_mm = 1e3 * mean["calyx_radius"] * mean["diameter"]
+        # Over the girth that textures are drawn for.
+        calyx_mm = (
+            1e3 * mean["calyx_radius"] * mean["diameter"] * (size_mm[0] / (1e3 * np.pi * mean["diameter"]))
+        )
         return fruit_surface(name, path, nm, size_mm, calyx_mm, _fruit_skin(cultivar.organs[kind]), rng)
     return green_surface(name, form, path, nm, size_mm, rng)
 

@@ -21,6 +21,8 @@ centres within the rows and columns that `random_cells` searches."""
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma: tuple[float, float]) -> FloatArray:
     """White noise under a Gaussian filter, `(h, w)`, mean 0, variance 1, periodic in both directions.
 
+    It is 0 everywhere if the filter is so wide that nothing is left.
+
     Args:
         rng: source of the white noise.
         shape: rows and columns.
@@ -32,7 +34,8 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma: tuple[
     transfer = along_rows[:, None] * along_columns[None, :]
     transfer[0, 0] = 0.0
     field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) * transfer, s=shape)
-    return np.asarray(field / field.std())
+    spread = field.std()
+    return np.asarray(field / spread if spread > 0.0 else field)
 
 
 def noise_mm(

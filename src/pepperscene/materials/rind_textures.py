@@ -39,17 +39,34 @@ RUSSET_MESH_MM: Final = (2.0, 3.5)  # wavelengths of the field whose zeros are t
 STYLE_SCAR_MM: Final = 2.2  # chosen: radius of the corky scar at the blossom end
 DUST: Final = 0.006  # chosen: cover of the skin outside scars and russet, dried drops of spray
 SCRATCHES: Final = 1.2  # chosen: mean number of healed scratches of a fruit
+_LEAST_OWN: Final = 1e-6
+"""Of the part of a field that no other has, over the largest such part. Chosen: ten times the rounding of the
+fields, which are sums in single precision."""
 _WAVES: Final = 14  # chosen: enough that no single one shows as a stripe
 _ALL_ROWS: Final = slice(None)
 _COVER: Final = 0.5, 0.8, 0.5  # chosen: of the lines of russet, the scar of the style, and scratches
 
 
 def uncorrelated(fields: FloatArray) -> FloatArray:
-    """Fields `(t, h, w)` less what they share, each with mean 0 and variance 1 (Gram-Schmidt)."""
+    """Fields `(t, h, w)` less what they share, each with mean 0 and variance 1 (Gram-Schmidt).
+
+    On an organ much smaller than their grain, fields consist of the same few waves, so that what they do not
+    share is rounding. Such fields keep what they share; one without any variation stays 0.
+    """
     flat = fields.reshape(len(fields), -1)
     flat = flat - flat.mean(axis=1, keepdims=True)
-    factor = np.linalg.cholesky(flat @ flat.T / flat.shape[1])
-    return np.asarray(np.linalg.solve(factor, flat)).reshape(fields.shape)
+    covariance = flat @ flat.T / flat.shape[1]
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        factor = np.zeros_like(covariance)
+    own = np.diag(factor)
+    if own.min() > _LEAST_OWN * own.max():
+        return np.asarray(np.linalg.solve(factor, flat)).reshape(fields.shape)
+    spread = np.sqrt(np.diag(covariance))[:, None]
+    return np.asarray(np.divide(flat, spread, out=np.zeros_like(flat), where=spread > 0.0)).reshape(
+        fields.shape
+    )
 
 
 @dataclass(frozen=True, eq=False)

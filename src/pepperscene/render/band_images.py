@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, electrons_per_light, measured_electrons
 from pepperscene.camera.row_strips import row_strips
-from pepperscene.camera.white_reference import WhiteReference, flash_on_panel
+from pepperscene.camera.white_reference import UNLIT_BANDS, WhiteReference, flash_on_panel
 from pepperscene.render.kernel.camera import (
     SpectralResponse,
     detected_wavelengths,
@@ -19,6 +19,10 @@ from pepperscene.render.kernel.camera import (
 from pepperscene.scene import Scene
 
 Array = NDArray[np.float64]
+
+LEAST_SIGNAL: Final = 3.0
+"""Of the white reference over the noise of a pixel that sees it: the limit of detection, three standard
+deviations (Currie 1968, Anal. Chem. 40:586). With less light, quotients are noise."""
 
 
 def radiance_image(signal: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
@@ -57,11 +61,27 @@ def measured_images(
         reflectance = np.empty(electrons.shape, np.float32)
         for rows in row_strips(camera.width, camera.height):
             white = light[rows, None] * electrons_per_light(camera, rows)[..., None]
-            reflectance[rows] = panel.reflectance * images["bands"][rows] / white
+            lit = is_detected(white, camera)
+            signal = panel.reflectance * images["bands"][rows]
+            reflectance[rows] = np.divide(signal, white, out=np.full(white.shape, np.nan), where=lit)
         images["reflectance"] = reflectance
         on_axis = light[camera.height // 2] / response_integrals(camera)
         described["white_reference"] = {**panel.metadata(), "radiance": on_axis.tolist()}
+        unlit = np.flatnonzero(np.isnan(reflectance).any(axis=(0, 1)))
+        if unlit.size:
+            described["white_reference"][UNLIT_BANDS] = unlit.tolist()
     return images, described
+
+
+def is_detected(electrons: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Whether expected electrons of a photosite are `LEAST_SIGNAL` times their noise or more.
+
+    The noise is that of photons, of reading, and of rounding to digital numbers, if the camera has them.
+    """
+    sensor, steps = camera.sensor, camera.developing
+    variance = steps.shot_noise * electrons + steps.read_noise * sensor.read_noise_e**2
+    variance = variance + steps.quantise * sensor.gain_e_per_dn**2 / 12.0
+    return np.asarray((electrons > 0.0) & (electrons >= LEAST_SIGNAL * np.sqrt(variance)))
 
 
 def response_integrals(camera: Camera) -> Array:

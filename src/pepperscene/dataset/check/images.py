@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset.check.findings import camera_centres, camera_integer
+from pepperscene.dataset.store.band_channels import unlit_bands
 from pepperscene.frame import BAND_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.truth import saturated_fraction
 
@@ -165,7 +166,11 @@ def _check_light(images: Mapping[str, Any], sky: Any, metadata: Mapping[str, Any
         yield "electrons", "have no light at all", np.full(electrons.shape[:2], not electrons.any())
     for output in sorted(BAND_OUTPUTS.intersection(images)):
         values = images[output]
-        yield output, "have a value that is not finite", ~np.isfinite(values).all(-1)
+        finite = np.isfinite(values)
+        if output == "reflectance":
+            # Where the white reference has no light, the reflectance is not a number.
+            finite |= np.isnan(values) & np.isin(np.arange(values.shape[2]), unlit_bands(metadata))
+        yield output, "have a value that is not finite", ~finite.all(-1)
         yield output, "have no light at all", np.full(values.shape[:2], not values.any())
     if "radiance" in images:
         yield "radiance", "have a radiance below 0", (images["radiance"] < 0).any(-1)

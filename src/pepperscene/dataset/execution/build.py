@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from pepperscene.dataset.execution.local import MAX_WORKERS, ProcessExecutor, Se
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.store.atomic import write_error
+from pepperscene.dataset.store.band_channels import unlit_bands
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.dataset_view import VIEWABLE, frames_html
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
@@ -162,7 +163,7 @@ def build(
                 _write_tables(folder.dataset, journal)
             raise
     kept = set(indices).difference(reporter.made)
-    notes = tuple(reporter.errors.notes())
+    notes = (*reporter.errors.notes(), *_unlit_notes(folder.dataset, reporter.made, job.outputs))
     return BuildResult(folder.dataset, tuple(sorted(reporter.made)), tuple(sorted(kept)), notes)
 
 
@@ -263,6 +264,19 @@ def _finish(folder: OutputFolder, journal: Journal, indices: Sequence[int], outp
         raise OutputError(
             f"{folder.dataset.folder}: {len(lost)} of {len(indices)} frames were removed during the build, "
             f"the first is {lost[0]:06d}; the same command builds them again"
+        )
+
+
+def _unlit_notes(dataset: Dataset, indices: Sequence[int], outputs: tuple[str, ...]) -> Iterator[str]:
+    """Yield at most one note about bands without light, in which the reflectance is not a number."""
+    if "reflectance" not in outputs:
+        return
+    counts = Counter(band for index in indices for band in unlit_bands(dataset.metadata(index)))
+    if counts:
+        bands = ", ".join(str(band + 1) for band in sorted(counts))
+        yield (
+            f"in {max(counts.values())} of {len(indices)} frames the white reference has too little light "
+            f"in band{'' if len(counts) == 1 else 's'} {bands}: the reflectance is nan there"
         )
 
 

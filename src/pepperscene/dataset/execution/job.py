@@ -10,11 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
 
+import numpy as np
+
 from pepperscene.dataset.recipe.frame_values import camera_name, frame_values
 from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.dataset.recipe.plan import FrameSpec, frame_seed
 from pepperscene.dataset.recipe.recipe import Recipe, digest
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
+from pepperscene.dataset.recipe.views_tables import FunctionViews
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer, RendererFactory
 from pepperscene.dataset.store.atomic import write_error
 from pepperscene.dataset.store.dataset import FORMAT
@@ -22,6 +25,7 @@ from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.dataset.views.camera_views import check_further_cameras
+from pepperscene.errors import InputError
 from pepperscene.frame import Frame, check_band_outputs, check_outputs
 from pepperscene.truth import class_pixel_counts
 from pepperscene.version import __version__
@@ -203,6 +207,7 @@ class FrameMaker:
             # The frame before is written meanwhile.
             spec = self._job.recipe.recipe.plan.frame(index)
             frame = self._renderer.render(spec, missing, self._quality)
+            _check_same_pose(frame, status, index, self._job.recipe.recipe)
             render_s = time.perf_counter() - start
             self._finish(on_frame)
             self._writing = self._frame_thread.submit(
@@ -248,3 +253,24 @@ class FrameMaker:
         if self._eager:
             on_frame(done)
         return done
+
+
+def _check_same_pose(frame: Frame, status: FrameStatus, index: int, recipe: Recipe) -> None:
+    """Check that further outputs of a frame have the pose of those that it has already.
+
+    Only a user's function can give another one: if it draws from random numbers of its own, or was changed.
+
+    Raises:
+        InputError: the pose is another one.
+    """
+    recorded = status.metadata.get("camera")
+    before = recorded.get("pose") if isinstance(recorded, dict) else None
+    if not status.outputs or before is None or not isinstance(recipe.views, FunctionViews):
+        return
+    pose = frame.metadata["camera"]["pose"]
+    if np.shape(before) != (4, 4) or not np.allclose(before, pose, rtol=0, atol=1e-9):
+        problem = (
+            f"gives another pose for frame {index} than the recorded one, so outputs cannot be added; "
+            "it must draw random numbers from rng only"
+        )
+        raise InputError(recipe.views.file, problem, key=recipe.views.function)

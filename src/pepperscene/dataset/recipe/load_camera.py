@@ -215,7 +215,10 @@ def _load_lens(
 
     size = sensor.columns, sensor.rows
     if table.hfov_deg is not None:
-        calibration = pinhole_calibration(*size, table.hfov_deg)
+        try:
+            calibration = pinhole_calibration(*size, table.hfov_deg)
+        except ValueError as error:
+            raise InputError(where, str(error), key="camera.hfov_deg", value=table.hfov_deg) from None
     elif calibration is None:
         fx, fy, cx, cy = (getattr(table, key) for key in INTRINSICS)
         model, coefficients = table.distortion_model or "plumb_bob", table.distortion or ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
@@ -18,7 +19,21 @@ from pydantic import (
 from pepperscene.classes import OrganClass
 from pepperscene.document import Document
 
-Name = Annotated[str, Field(strict=True, min_length=1, max_length=400, pattern=r"^[^\x00-\x1f]+$")]
+
+def _check_undecodable(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    """Check a name; the validator's own check of text refuses paths whose bytes are not UTF-8 (PEP 383)."""
+    if not isinstance(value, str):
+        return check(value)
+    check(_SURROGATE.sub("_", value))
+    return value
+
+
+_SURROGATE: Final = re.compile("[\udc80-\udcff]")
+Name = Annotated[
+    str,
+    Field(strict=True, min_length=1, max_length=400, pattern=r"^[^\x00-\x1f]+$"),
+    WrapValidator(_check_undecodable),
+]
 """A shipped name or a path."""
 
 NONE: Final = "none"

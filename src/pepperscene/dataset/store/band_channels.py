@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from pepperscene.camera.bands import Band
+from pepperscene.camera.white_reference import UNLIT_BANDS
 
 _CHANNEL: Final = re.compile(r"B(\d+)(\.\d+nm)?")
 
@@ -48,3 +49,11 @@ def recorded_bands(metadata: Mapping[str, Any]) -> tuple[Band, ...]:
         Band(entry["name"], entry["centre_nm"], entry["width_nm"])
         for entry in metadata.get("camera", {}).get("bands", ())
     )
+
+
+def unlit_bands(metadata: Mapping[str, Any]) -> tuple[int, ...]:
+    """Bands, from 0, whose reflectance is nan somewhere in a frame, by its JSON, which may be damaged."""
+    reference = metadata.get("white_reference")
+    listed = reference.get(UNLIT_BANDS, ()) if isinstance(reference, Mapping) else ()
+    known = listed if isinstance(listed, list | tuple) else ()
+    return tuple(band for band in known if isinstance(band, int) and not isinstance(band, bool))

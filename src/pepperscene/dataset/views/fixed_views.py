@@ -78,6 +78,7 @@ def _views(
     """Poses `(n, 4, 4)`; velocities and angular velocities `(2, n, 3)`, or None without motion."""
     from pepperscene.camera import arc_path, grid_poses, protocol_poses
     from pepperscene.camera.paths import trajectory_from_poses
+    from pepperscene.camera.poses import too_close
 
     match table:
         case ArcViews():
@@ -117,7 +118,8 @@ def _views(
     if isinstance(table, ArcViews) and table.speed_mm_s is not None and len(poses) > 1:
         lengths = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
         times = np.concatenate([[0.0], np.cumsum(lengths)]) / (table.speed_mm_s / 1e3)
-        if (np.diff(times) > 0).all():
+        # A camera that does not move along its arc takes sharp photographs.
+        if not too_close(times).any():
             return poses, _velocities(trajectory_from_poses(poses, times))
     return poses, None
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import ast
+import contextlib
+import copy
+import dataclasses
 import runpy
+import sys
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.pose_list import check_positions
 from pepperscene.dataset.recipe.views_tables import FunctionViews
 from pepperscene.dataset.store import atomic
 from pepperscene.document import read_text
@@ -36,10 +43,8 @@ def function_poses(
         InputError: the file has no such function, or it fails or returns something else.
     """
     function = _load(table.file, table.function, atomic.digest(Path(table.file), "text"))
-    try:
-        poses = np.array(function(scene, rng), dtype=float)
-    except (Exception, SystemExit) as error:
-        raise InputError(table.file, _failure(error), key=table.function) from error
+    with _users_code(table.file, table.function):
+        poses = np.array(function(read_only(scene), rng), dtype=float)
     if poses.shape != (frames, 4, 4) or not np.isfinite(poses).all():
         problem = f"must return finite poses of the shape ({frames}, 4, 4), not {poses.shape}"
         if poses.shape == (frames, 4, 4):
@@ -51,7 +56,31 @@ def function_poses(
     if not is_rigid or not np.allclose(poses[:, 3], [0, 0, 0, 1]):
         problem = "must return rotations and translations, without scale or reflection"
         raise InputError(table.file, problem, key=table.function)
+    check_positions(poses[:, :3, 3], Path(table.file), lambda number: f"{table.function}, pose {number}")
     return poses
+
+
+def read_only(value: Any) -> Any:
+    """A copy of nested data classes whose arrays and mappings cannot be changed; it shares their memory."""
+    if isinstance(value, np.ndarray):
+        view = value.view()
+        view.setflags(write=False)
+        return view
+    if type(value) is tuple:
+        return tuple(map(read_only, value))
+    if isinstance(value, dict):
+        return MappingProxyType({key: read_only(item) for key, item in value.items()})
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        return value
+    result = copy.copy(value)
+    # Cached properties are among the attributes, which the fields of a class with slots are not.
+    names = [field.name for field in dataclasses.fields(value)]
+    attributes: Mapping[str, Any] = {name: getattr(value, name) for name in names} | getattr(
+        value, "__dict__", {}
+    )
+    for name, item in attributes.items():
+        object.__setattr__(result, name, read_only(item))
+    return result
 
 
 def check_definition(table: FunctionViews, where: str | Path) -> None:
@@ -81,13 +110,26 @@ def check_definition(table: FunctionViews, where: str | Path) -> None:
 @lru_cache(maxsize=8)
 def _load(file: str, name: str, _content: str) -> Any:
     """The function of a file with this content."""
-    try:
+    with _users_code(file):
         function = runpy.run_path(file).get(name)
-    except (Exception, SystemExit) as error:
-        raise InputError(file, _failure(error)) from error
     if not callable(function):
         raise InputError(file, "must define this function", key=name)
     return function
+
+
+@contextlib.contextmanager
+def _users_code(file: str, key: str = "") -> Iterator[None]:
+    """Turn every exception of a user's code into one `InputError`, and send what it prints to standard error.
+
+    Standard output may be read by a program, as with `--json`.
+    """
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise InputError(file, _failure(error), key=key) from error
 
 
 def _failure(error: BaseException) -> str:

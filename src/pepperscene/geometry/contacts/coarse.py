@@ -49,7 +49,7 @@ def _cached_faces(uv: bytes, is_sheet: bool, resolution: Resolution) -> IndexArr
 
 def _sheet_faces(uv: FloatArray, resolution: Resolution) -> IndexArray:
     """Triangles of a blade: rows of vertices from margin to margin, without triangles between its lobes."""
-    from scipy.spatial import Delaunay
+    from scipy.spatial import Delaunay, QhullError
 
     place = np.stack([2.0 * uv[:, 0] - 1.0, 2.0 * uv[:, 1]], axis=1)
     targets = [place[place[:, 1].argmin()], place[place[:, 1].argmax()]]
@@ -62,7 +62,11 @@ def _sheet_faces(uv: FloatArray, resolution: Resolution) -> IndexArray:
         ]
     nearest = [int(np.square(place - target).sum(axis=1).argmin()) for target in targets]
     rows = np.unique(nearest)
-    faces = rows[Delaunay(place[rows]).simplices]
+    try:
+        faces = rows[Delaunay(place[rows]).simplices]
+    except QhullError:
+        # All on a line, as of a blade that is a thread: one flat triangle.
+        return np.asarray(rows[[[0, len(rows) // 2, len(rows) - 1]]], dtype=np.intp)
     a, b, c = (place[faces[:, corner]] for corner in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     centre = (a + b + c) / 3.0

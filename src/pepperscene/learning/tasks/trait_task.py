@@ -228,6 +228,8 @@ def _frame_samples(
         )
     if not reflectance.shape[:2] == instances.shape == classes.shape == values.shape:
         raise InputError(path, "differs in size from the labels of its frame")
+    if np.isnan(reflectance).any():
+        raise InputError(path, "must have a reflectance in every band; it is nan where light is too weak")
     return organ_samples(index, reflectance, values, instances, classes == trait.organ, smallest_px)
 
 
