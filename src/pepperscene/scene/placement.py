@@ -28,6 +28,8 @@ class Skeleton:
         bases: `(n, 3)` positions of the stem bases, metres.
         turns: `(n,)` radians about the vertical, counter-clockwise seen from above.
         motions: rotations that resolved the row's contacts, by instance numbers of the scene.
+        starts: first instance of each plant in the scene, ascending; empty if the plants follow each other
+            from instance 0 on.
     """
 
     plants: tuple[Plant, ...]
@@ -35,10 +37,11 @@ class Skeleton:
     bases: NDArray[np.float64]
     turns: NDArray[np.float64]
     motions: tuple[JointRotation, ...] = ()
+    starts: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         counts = {len(self.plants), len(self.sizes), len(self.bases), len(self.turns)}
-        if len(counts) > 1:
+        if len(counts | ({len(self.starts)} if self.starts else set())) > 1:
             raise ValueError(f"plants, sizes, bases and turns must be equally many, not {sorted(counts)}")
         for plant, size in zip(self.plants, self.sizes, strict=True):
             if size < len(plant.organs):
@@ -50,10 +53,8 @@ class Skeleton:
         Raises:
             ValueError: the instance is not an organ of the plants.
         """
-        location = self._locate(instance)
-        if location is None:
-            raise ValueError(f"instance {instance} is not an organ of a plant")
-        number, index = location
+        number = self.plant_index(instance)
+        index = instance - self._first_instances[number]
         organs, first = self.plants[number].organs, self._first_instances[number]
         organ = organs[index]
         # Place the plant.
@@ -69,6 +70,23 @@ class Skeleton:
                 up = motion.rotation @ up
         parent = first + organ.parent if organ.parent >= 0 else organ.parent
         return replace(organ, curve=curve, up=up, parent=parent)
+
+    def plant_index(self, instance: int) -> int:
+        """The position in `plants` of the plant of an organ; raises `ValueError` if it is not one of theirs."""
+        location = self._locate(instance)
+        if location is None:
+            raise ValueError(f"instance {instance} is not an organ of a plant")
+        return location[0]
+
+    def measures(self, instance: int) -> Mapping[str, float]:
+        """The measures of an organ, as `Organ.measures`; raises `ValueError` as `organ` does."""
+        number = self.plant_index(instance)
+        return self.plants[number].organs[instance - self._first_instances[number]].measures
+
+    def instances(self) -> tuple[int, ...]:
+        """All instances of the plants, with their twine, ascending."""
+        runs = zip(self._first_instances, self.sizes, strict=True)
+        return tuple(index for first, size in runs for index in range(first, first + size))
 
     def kind(self, instance: int) -> OrganKind | None:
         """The organ kind of an instance of the scene; None if it is not an organ of the plants."""
@@ -98,7 +116,7 @@ class Skeleton:
 
     @cached_property
     def _first_instances(self) -> tuple[int, ...]:
-        return tuple(accumulate(self.sizes, initial=0))[:-1]
+        return self.starts or tuple(accumulate(self.sizes, initial=0))[:-1]
 
 
 def build_skeleton(plants: Sequence[Plant]) -> Skeleton:
@@ -118,7 +136,7 @@ class Scene:
         mesh: all triangles.
         surfaces: one for each of `mesh.surfaces`, in that order; empty if only labels are rendered.
         sky: daylight, or None for a night scene.
-        skeleton: plants whose organs are the first instances of the mesh; None without output "harvest".
+        skeleton: plants whose organs are instances of the mesh; None without output "harvest".
     """
 
     mesh: Mesh
