@@ -1,8 +1,8 @@
 """Plant rows beyond the labelled ones: a few coarse plants, repeated many times, as inexpensive scenery.
 
 Their organs are labelled, since a photograph shows them as clearly as those of the nearest row. They are
-merged into as many instances as fit into an image of 16 bits: see `FarDetail`. Plants that a camera comes near
-to have their full meshes in the same places instead, with an instance for each organ.
+merged into as many instances as fit into an image of 16 bits: see `FarDetail`. Plants that a camera shows
+from near have full meshes in the same places instead, with an instance for each organ.
 """
 
 from __future__ import annotations
@@ -166,8 +166,8 @@ def far_row_meshes(
 
     Returns:
         One mesh for each row, coarse plants first. With `LABELS`, the instances of coarse plants are organs,
-        merged as `far_detail` chooses, and those of full plants are all their organs. Otherwise, the coarse
-        plants are a single instance "far_row" of `IGNORE_CLASS` or of the background, and so are the full ones.
+        merged as `far_detail` chooses, and those of full plants are all their organs. Otherwise, all coarse
+        plants are one instance "far_row" of `IGNORE_CLASS` or of the background, and so are all full ones.
     """
     full = {} if full is None else full
     coarse = [_some_plants(row, ~np.isin(row.plants, list(full))) for row in rows]

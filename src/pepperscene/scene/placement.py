@@ -72,7 +72,7 @@ class Skeleton:
         return replace(organ, curve=curve, up=up, parent=parent)
 
     def plant_index(self, instance: int) -> int:
-        """The position in `plants` of the plant of an organ; raises `ValueError` if it is not one of theirs."""
+        """The position in `plants` of an organ's plant; raises `ValueError` as `organ` does."""
         location = self._locate(instance)
         if location is None:
             raise ValueError(f"instance {instance} is not an organ of a plant")

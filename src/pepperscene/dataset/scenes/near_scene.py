@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from pepperscene.scene import Scene
 
 DECISIVE_VIEWS: Final = 64
-"""Random views of a scene, its first ones, that decide which plants are grown in full; the others are drawn so
-that they show no coarse plant from near. Chosen: a view takes .1 to .2 s of CPU time, and all frames of a scene
-wait for them."""
+"""The first random views of a scene decide which plants are grown in full; further ones are drawn so that
+they show no coarse plant from near. Chosen: all frames of a scene wait for these views, .1 to .2 s of CPU
+time for each."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -141,7 +141,11 @@ class SceneBuilder:
         if not numbers:
             return built
         chosen = {
-            int(plant): (self._full_model(int(row.choice[member])), float(row.turns[member]), row.bases[member])
+            int(plant): (
+                self._full_model(int(row.choice[member])),
+                float(row.turns[member]),
+                row.bases[member],
+            )
             for row in built.far_rows
             for member, plant in enumerate(row.plants)
             if plant in numbers

@@ -177,8 +177,8 @@ class CameraViews:
         """Keep views in a scene whose near plants are grown in full.
 
         Args:
-            scene: in which views of functions are the same as before, and random ones wherever they are within
-                their limits.
+            scene: in which views of functions are the same as before, and random ones where they are still
+                within their limits.
             earlier: views of the scene before.
             coarse: its other plants of far rows, which random views do not show from near.
         """
@@ -264,7 +264,9 @@ class CameraViews:
             earlier=earlier if isinstance(earlier, RandomView) else None,
         )
 
-    def _shows_coarse(self, spec: FrameSpec, setup: FrameSetup, pose: NDArray[np.float64], coarse: CoarsePlants) -> bool:
+    def _shows_coarse(
+        self, spec: FrameSpec, setup: FrameSetup, pose: NDArray[np.float64], coarse: CoarsePlants
+    ) -> bool:
         """Whether any camera of a moment shows a coarse plant from near, with the main camera at a pose."""
         from pepperscene.dataset.views.near_plants import near_views
 

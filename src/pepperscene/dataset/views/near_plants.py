@@ -63,7 +63,7 @@ def near_views(cameras: Iterable[Camera]) -> NearViews:
 
 
 def _poses_of_exposure(camera: Camera) -> tuple[FloatArray, float]:
-    """`(n, 4, 4)` poses during the exposure, and how far from the nearest of them the camera can be, metres."""
+    """`(n, 4, 4)` poses during the exposure, and the farthest that it is from the nearest of them, metres."""
     if camera.motion is None:
         return camera.pose[None].astype(float), 0.0
     duration_s = camera.exposure_s + camera.height * camera.sensor.line_time_s
@@ -107,19 +107,19 @@ class CoarsePlants:
 
     def shown_near(self, views: NearViews) -> tuple[int, ...]:
         """The numbers of the plants with a triangle that a view shows nearer than `NEAR_M`, ascending."""
-        return tuple(
-            sorted(int(self._numbers[plant]) for plant in range(len(self._numbers)) if self._shown(plant, views))
-        )
+        shown = [plant for plant in range(len(self._numbers)) if self._is_shown(plant, views)]
+        return tuple(sorted(self._numbers[shown].tolist()))
 
-    def _shown(self, plant: int, views: NearViews) -> bool:
+    def _is_shown(self, plant: int, views: NearViews) -> bool:
+        """Whether any view shows a triangle of a plant nearer than `NEAR_M`, whatever hides it."""
         # The horizontal distance decides for most views.
         across = views.positions[:, :2] - self._bases[plant, :2]
         reach = views.reach_m + self._radii[plant]
         candidates = np.flatnonzero((across**2).sum(axis=1) < reach**2)
-        return any(self._is_shown(plant, views, view) for view in candidates)
+        return any(self._is_shown_by(plant, views, view) for view in candidates)
 
-    def _is_shown(self, plant: int, views: NearViews, view: int) -> bool:
-        """Whether a view shows a triangle of a plant nearer than `NEAR_M`, whatever hides it."""
+    def _is_shown_by(self, plant: int, views: NearViews, view: int) -> bool:
+        """Whether one view does."""
         from pepperscene.scene import rotation_about_z
 
         model = self._models[self._choice[plant]]
