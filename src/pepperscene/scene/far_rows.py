@@ -177,10 +177,11 @@ def far_row_meshes(
     else:
         others += sum(len(mesh.instances) for mesh in in_full if mesh is not None)
         rough = _labelled_rows(models, coarse, others)
-    return [
-        concatenate_meshes([mesh for mesh in parts if mesh is not None]) if parts[1] is not None else parts[0]
-        for parts in zip(rough, in_full, strict=True)
-    ]
+    meshes = []
+    for parts in zip(rough, in_full, strict=True):
+        present = [mesh for mesh in parts if mesh is not None]
+        meshes.append(present[0] if len(present) == 1 else concatenate_meshes(present))
+    return meshes
 
 
 def far_detail(sizes: dict[FarDetail, list[int]], plants: NDArray[np.intp], others: int) -> FarDetail:

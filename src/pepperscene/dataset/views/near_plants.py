@@ -116,7 +116,7 @@ class CoarsePlants:
         across = views.positions[:, :2] - self._bases[plant, :2]
         reach = views.reach_m + self._radii[plant]
         candidates = np.flatnonzero((across**2).sum(axis=1) < reach**2)
-        return any(self._is_shown_by(plant, views, view) for view in candidates)
+        return any(self._is_shown_by(plant, views, view) for view in candidates.tolist())
 
     def _is_shown_by(self, plant: int, views: NearViews, view: int) -> bool:
         """Whether one view does."""
