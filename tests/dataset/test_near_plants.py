@@ -87,8 +87,6 @@ def test_fruit_of_near_far_plants_have_all_truth(random_frames):
         assert one["amodal_pixels"] >= one["visible_pixels"]
         assert one["length_m"] > 0.01
         assert one["peduncle"]["cut"]["world_m"]
-    stems = {tuple(np.round(one["approach"]["direction"], 6)) for one in fruit if one["approach"]}
-    assert stems
 
 
 def test_organs_of_near_far_plants_have_the_poses_of_their_triangles(random_frames):
@@ -154,6 +152,7 @@ def views_of_kind(kind, files):
             "distance_mm": [500],
             "azimuth_deg": [-50, 50],
             "height_mm": 1300,
+            "pitch_deg": 0,
         },
     }[kind]
 
@@ -171,6 +170,8 @@ def test_views_of_every_kind_show_no_coarse_plant_from_near(kind, files):
 @pytest.mark.parametrize("name", RECIPES)
 def test_shipped_recipes_show_no_coarse_plant_from_near(name):
     changes = {key: value for key, value in SMALL.items() if not key.startswith("greenhouse")}
+    if name == "barth2018_robot":
+        del changes["plan.frames"]  # its views are as many as its protocol has
     if ps.load_recipe(name).greenhouse is not None:
         changes["greenhouse.far_reach_mm"] = 900
     if name == "line_scanner":
