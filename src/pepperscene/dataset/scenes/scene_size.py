@@ -18,8 +18,8 @@ cultivars it is 2,800 to 4,300, and 15,500 of the tomato, whose leaves have many
 _COARSE: Final = 0.06
 """Triangles of a plant of the far rows over those of a plant at detail 1; measured .033 to .051."""
 _NEAR_PLANTS: Final = {"random": 30, "function": 30, "path": 12, "poses": 12}
-"""Plants of the far rows that are grown in full, by the kind of views, as an estimate. Measured: 11 to 25 with
-random views, up to 10 on a path, and at most one with others, of which there are `_FEW_NEAR_PLANTS`."""
+"""Estimate of the plants of far rows that are grown in full, by the kind of views. Measured: 11 to 25 with
+random views, up to 10 on a path. Other kinds have at most one, estimated as `_FEW_NEAR_PLANTS`."""
 _FEW_NEAR_PLANTS: Final = 4
 
 
