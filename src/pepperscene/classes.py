@@ -111,8 +111,9 @@ class Instance:
         plant: number of the plant that it belongs to, 0-based; -1 for none.
         phytomer: position along the main stem, 0-based from the ground; -1 for none.
         parent: index of the instance that it grows on, in the same list; -1 for none.
-        far_row: number of the coarse row that it belongs to, beyond the labelled plants; -1 for none.
+        far_row: number of the row that it belongs to, beyond the recipe's own plants; -1 for none.
         ignored: whether its pixels have `IGNORE_CLASS` instead of its class.
+        full: whether its plant is grown in full although it is in a far row, whose other plants are coarse.
     """
 
     organ_class: OrganClass
@@ -122,6 +123,7 @@ class Instance:
     parent: int = -1
     far_row: int = -1
     ignored: bool = False
+    full: bool = False
 
     def numbered(self, plant: int, parent: int, far_row: int) -> Instance:
         """The instance with another plant, parent and far row.

@@ -11,7 +11,7 @@ from pepperscene.classes import IGNORE_CLASS, Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
 from pepperscene.grammar import grow
-from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, far_row_meshes, far_rows
+from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, draw_far_rows, far_row_meshes, far_rows
 from pepperscene.scene.culling import mesh_chunks
 from pepperscene.scene.far_rows import FarDetail, far_detail
 from pepperscene.scene.greenhouse import FarRowsAs, row_lines
@@ -23,7 +23,8 @@ AS_IGNORED = replace(GREENHOUSE, far_rows_as=FarRowsAs.IGNORE)
 
 
 def rows(models, seed=1, greenhouse=GREENHOUSE, others=0):
-    return far_row_meshes(models, ROW, greenhouse, np.random.default_rng(seed), others)
+    drawn = draw_far_rows(len(models), ROW, greenhouse, np.random.default_rng(seed))
+    return far_row_meshes(models, drawn, greenhouse.far_rows_as, others)
 
 
 def ball(radius):

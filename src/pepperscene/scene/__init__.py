@@ -2,7 +2,7 @@
 
 from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import LightReach, combine_reaches, cull_mesh, light_reach
-from pepperscene.scene.far_rows import coarsen_plant, far_row_meshes
+from pepperscene.scene.far_rows import FarRow, coarsen_plant, draw_far_rows, far_row_meshes
 from pepperscene.scene.floor import leaf_area_index
 from pepperscene.scene.frustum import ViewFrustums, view_frustums
 from pepperscene.scene.greenhouse import (
@@ -19,6 +19,7 @@ from pepperscene.scene.sky import Sky, Sun, partly_cloudy_sky, uniform_sky
 __all__ = [
     "Cover",
     "DoubleRow",
+    "FarRow",
     "Greenhouse",
     "LightReach",
     "Posture",
@@ -35,6 +36,7 @@ __all__ = [
     "combine_reaches",
     "cull_mesh",
     "double_row",
+    "draw_far_rows",
     "draw_posture",
     "far_row_meshes",
     "greenhouse_mesh",

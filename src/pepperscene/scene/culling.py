@@ -108,6 +108,7 @@ class Chunks:
     faces: NDArray[np.intp]  # `(n + 1,)` first face of each chunk, and the end of the last
     vertices: NDArray[np.intp]  # `(n, 2)` first vertex that a chunk uses and the one after the last
     whole: NDArray[np.bool_]  # `(n,)` whether it contains all faces of its instance
+    full: NDArray[np.bool_]  # `(n,)` whether it belongs to a plant of a far row that is grown in full
     centres: NDArray[np.float32]  # `(n, 3)` float32, metres, of its axis-aligned bounding box
     half_extents: NDArray[np.float32]  # `(n, 3)` float32, metres, of its axis-aligned bounding box
     radii: NDArray[np.float32]  # `(n,)` float32, metres, of the ball around the box
@@ -139,6 +140,7 @@ def mesh_chunks(mesh: Mesh) -> Chunks:
         np.append(starts, len(mesh.faces)),
         vertices,
         is_whole,
+        np.array([item.full for item in mesh.instances])[owner],
         lowest + half,
         half,
         np.asarray(np.linalg.norm(half, axis=1)),
@@ -148,9 +150,10 @@ def mesh_chunks(mesh: Mesh) -> Chunks:
 def _face_owners(mesh: Mesh) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
     """`(f,)` the instance that a face is culled with, and `(i,)` which instances are of far rows.
 
-    A far row counts as its first instance: what is culled does not depend on how finely it is labelled.
+    A far row counts as its first instance, or as two where some plants are grown in full: what is culled does
+    not depend on how finely it is labelled.
     """
-    rows = np.array([item.far_row for item in mesh.instances])
+    rows = np.array([2 * item.far_row + item.full for item in mesh.instances])
     is_far = rows >= 0
     if not is_far.any():
         return mesh.face_instance, is_far
@@ -209,7 +212,8 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
         light: how much light invisible objects can shadow or scatter.
     """
     chunks = mesh_chunks(mesh)
-    visible = frustums.intersects(chunks.centres, chunks.half_extents)
+    # A plant that is grown in full stays whole, so that the truth of its fruit does.
+    visible = frustums.intersects(chunks.centres, chunks.half_extents) | chunks.full
     if visible.all() or not visible.any():
         return mesh
     removed = negligible(chunks, visible, frustums, light)

@@ -1,12 +1,13 @@
 """Plant rows beyond the labelled ones: a few coarse plants, repeated many times, as inexpensive scenery.
 
 Their organs are labelled, since a photograph shows them as clearly as those of the nearest row. They are
-merged into as many instances as fit into an image of 16 bits: see `FarDetail`.
+merged into as many instances as fit into an image of 16 bits: see `FarDetail`. Plants that a camera shows
+from near have full meshes in the same places instead, with an instance for each organ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Final
@@ -60,10 +61,40 @@ _SEPARATE: Final = {
 
 
 @dataclass(frozen=True, eq=False)
-class _DrawnRow:
-    """The plants of a far row."""
+class FarRow:
+    """The plants of a far row.
 
-    number: int  # of the row, 0-based
+    Attributes:
+        number: of the row, 0-based.
+        first_plant: number of its first plant in the scene; they ascend along the row.
+        choice: `(n,)` the model of each plant.
+        turns: `(n,)` radians about the vertical, counter-clockwise seen from above.
+        bases: `(n, 3)` positions of the stem bases, metres.
+    """
+
+    number: int
+    first_plant: int
+    choice: NDArray[np.intp]
+    turns: NDArray[np.float64]
+    bases: NDArray[np.float64]
+
+    @property
+    def plants(self) -> NDArray[np.intp]:
+        """`(n,)` numbers of its plants in the scene."""
+        return self.first_plant + np.arange(len(self.choice))
+
+    @property
+    def rotations(self) -> NDArray[np.float64]:
+        """`(n, 3, 3)` the turns as matrices."""
+        return np.stack([rotation_about_z(turn) for turn in self.turns])
+
+
+@dataclass(frozen=True, eq=False)
+class _Plants:
+    """Some plants of a far row."""
+
+    number: int  # of the row
+    plants: NDArray[np.intp]  # `(n,)` numbers in the scene
     choice: NDArray[np.intp]  # `(n,)` the model of each
     rotations: NDArray[np.float64]  # `(n, 3, 3)`
     bases: NDArray[np.float64]  # `(n, 3)` metres
@@ -86,37 +117,70 @@ def coarsen_plant(mesh: Mesh) -> Mesh:
     return coarse.taken_from(mesh)
 
 
+def draw_far_rows(
+    models: int, row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator
+) -> list[FarRow]:
+    """Draw the plants of the neighbouring double rows, and of the labelled rows' continuation to either side.
+
+    Args:
+        models: number of different plants.
+        row: the labelled double row; its positions stay free, and plants are numbered after its own.
+        greenhouse: number, spacing and length of the rows.
+        rng: draws plants, turns and positions.
+
+    Returns:
+        Rows with at least one plant.
+    """
+    rows: list[FarRow] = []
+    first_plant = row.front + row.back
+    for line in row_lines(row, greenhouse):
+        x = _free_positions(line, row, greenhouse, rng)
+        if greenhouse.far_rows == 0 or not x.size:
+            continue
+        choice = rng.integers(models, size=x.size).astype(np.intp)
+        facing = 0.0 if line.aisle < 0 else np.pi
+        turns = facing + rng.uniform(-_MAX_TURN, _MAX_TURN, x.size)
+        bases = np.column_stack([x, np.full((x.size, 2), (line.y_m, greenhouse.stem_base_m))])
+        rows.append(FarRow(len(rows), first_plant, choice, turns, bases))
+        first_plant += x.size
+    return rows
+
+
 def far_row_meshes(
-    models: Sequence[Mesh], row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator, others: int = 0
+    models: Sequence[Mesh],
+    rows: Sequence[FarRow],
+    labelled_as: FarRowsAs = FarRowsAs.LABELS,
+    others: int = 0,
+    full: Mapping[int, Mesh] | None = None,
 ) -> list[Mesh]:
-    """The neighbouring double rows, and the continuation of the labelled rows to either side.
+    """The meshes of far rows.
 
     Vertices, faces and appearances do not depend on how the rows are labelled.
 
     Args:
-        models: plants with their aisle at -y; each is repeated many times with random turns.
-        row: the labelled double row; its positions stay free, and plants are numbered after its own.
-        greenhouse: number, spacing, length, lean and labels of the rows.
-        rng: draws plants, turns and positions.
+        models: coarse plants with their aisle at -y; each is repeated many times.
+        rows: their plants, of `draw_far_rows`.
+        labelled_as: what they are in labels.
         others: instances of the scene that are not in far rows.
+        full: the full mesh of the model of some plants, by the number of the plant.
 
     Returns:
-        One mesh for each row. By `greenhouse.far_rows_as`, its instances are organs, merged as `far_detail`
-        chooses, or it is a single instance "far_row" of `IGNORE_CLASS` or of the background.
+        One mesh for each row, coarse plants first. With `LABELS`, the instances of coarse plants are organs,
+        merged as `far_detail` chooses, and those of full plants are all their organs. Otherwise, all coarse
+        plants are one instance "far_row" of `IGNORE_CLASS` or of the background, and so are all full ones.
     """
-    rows = _draw_rows(len(models), row, greenhouse, rng)
-    if greenhouse.far_rows_as != FarRowsAs.LABELS:
-        return [_unlabelled_row(models, drawn, greenhouse.far_rows_as) for drawn in rows]
-    grouped = {detail: [_group_organs(model, detail) for model in models] for detail in FarDetail}
-    choices = [number for drawn in rows for number in drawn.choice.tolist()]
-    counts = np.bincount(np.array(choices, np.intp), minlength=len(models))
-    detail = far_detail(
-        {detail: [len(model.instances) for model in grouped[detail]] for detail in FarDetail}, counts, others
-    )
-    meshes, first_plant = [], row.front + row.back
-    for drawn in rows:
-        meshes.append(_labelled_row(grouped[detail], drawn, first_plant, detail))
-        first_plant += len(drawn.choice)
+    full = {} if full is None else full
+    coarse = [_some_plants(row, ~np.isin(row.plants, list(full))) for row in rows]
+    in_full = [_full_row(row, full, labelled_as) for row in rows]
+    if labelled_as != FarRowsAs.LABELS:
+        rough = [_unlabelled_row(models, drawn, labelled_as) for drawn in coarse]
+    else:
+        others += sum(len(mesh.instances) for mesh in in_full if mesh is not None)
+        rough = _labelled_rows(models, coarse, others)
+    meshes = []
+    for parts in zip(rough, in_full, strict=True):
+        present = [mesh for mesh in parts if mesh is not None]
+        meshes.append(present[0] if len(present) == 1 else concatenate_meshes(present))
     return meshes
 
 
@@ -132,24 +196,6 @@ def far_detail(sizes: dict[FarDetail, list[int]], plants: NDArray[np.intp], othe
         if others + int(np.dot(sizes[detail], plants)) <= MOST_INSTANCES:
             return detail
     return FarDetail.ROWS
-
-
-def _draw_rows(
-    models: int, row: DoubleRow, greenhouse: Greenhouse, rng: np.random.Generator
-) -> list[_DrawnRow]:
-    """Draw the positions, turns and models of all plants; rows without a plant are left out."""
-    rows: list[_DrawnRow] = []
-    for line in row_lines(row, greenhouse):
-        x = _free_positions(line, row, greenhouse, rng)
-        if greenhouse.far_rows == 0 or not x.size:
-            continue
-        choice = rng.integers(models, size=x.size).astype(np.intp)
-        facing = 0.0 if line.aisle < 0 else np.pi
-        turns = rng.uniform(-_MAX_TURN, _MAX_TURN, x.size)
-        rotations = np.stack([rotation_about_z(facing + turn) for turn in turns])
-        bases = np.column_stack([x, np.full((x.size, 2), (line.y_m, greenhouse.stem_base_m))])
-        rows.append(_DrawnRow(len(rows), choice, rotations, bases))
-    return rows
 
 
 def _free_positions(
@@ -168,18 +214,59 @@ def _free_positions(
     return x[np.abs(x) <= greenhouse.far_reach_m]
 
 
-def _unlabelled_row(models: Sequence[Mesh], row: _DrawnRow, labelled_as: FarRowsAs) -> Mesh:
-    """A row as a single instance."""
-    mesh = _row_mesh([as_single_instance(model, "far_row") for model in models], row, first_plant=0)
+def _some_plants(row: FarRow, chosen: NDArray[np.bool_]) -> _Plants | None:
+    """Some plants of a row, or None if there are none."""
+    if not chosen.any():
+        return None
+    rows = np.flatnonzero(chosen)
+    return _Plants(row.number, row.plants[rows], row.choice[rows], row.rotations[rows], row.bases[rows])
+
+
+def _full_row(row: FarRow, full: Mapping[int, Mesh], labelled_as: FarRowsAs) -> Mesh | None:
+    """The plants of a row that are grown in full, or None if there are none."""
+    parts: list[Mesh] = []
+    for plant, turn, base in zip(row.plants.tolist(), row.turns, row.bases, strict=True):
+        if plant in full:
+            mesh = full[plant].moved(rotation_about_z(float(turn)), base)
+            instances = [replace(item, plant=plant, far_row=row.number, full=True) for item in mesh.instances]
+            parts.append(replace(mesh, instances=tuple(instances)))
+    if not parts:
+        return None
+    together = concatenate_meshes(parts)
+    return together if labelled_as == FarRowsAs.LABELS else _one_instance(together, row.number, labelled_as)
+
+
+def _one_instance(mesh: Mesh, row: int, labelled_as: FarRowsAs) -> Mesh:
+    """The plants of a row as a single instance, full if all of them are."""
+    full = all(item.full for item in mesh.instances)
     mesh = as_single_instance(mesh, "far_row")
-    if labelled_as == FarRowsAs.BACKGROUND:
-        return mesh
-    return replace(mesh, instances=(replace(mesh.instances[0], far_row=row.number, ignored=True),))
+    (instance,) = mesh.instances
+    if labelled_as == FarRowsAs.IGNORE:
+        instance = replace(instance, far_row=row, ignored=True)
+    return replace(mesh, instances=(replace(instance, full=full),))
 
 
-def _labelled_row(models: Sequence[Mesh], row: _DrawnRow, first_plant: int, detail: FarDetail) -> Mesh:
+def _unlabelled_row(models: Sequence[Mesh], row: _Plants | None, labelled_as: FarRowsAs) -> Mesh | None:
+    """Coarse plants of a row as a single instance."""
+    if row is None:
+        return None
+    mesh = _row_mesh([as_single_instance(model, "far_row") for model in models], row)
+    return _one_instance(mesh, row.number, labelled_as)
+
+
+def _labelled_rows(models: Sequence[Mesh], rows: Sequence[_Plants | None], others: int) -> list[Mesh | None]:
+    """Coarse plants of rows with their organs as instances, as far as there are numbers for them."""
+    grouped = {detail: [_group_organs(model, detail) for model in models] for detail in FarDetail}
+    choices = [number for row in rows if row is not None for number in row.choice.tolist()]
+    counts = np.bincount(np.array(choices, np.intp), minlength=len(models))
+    sizes = {detail: [len(model.instances) for model in grouped[detail]] for detail in FarDetail}
+    detail = far_detail(sizes, counts, others)
+    return [None if row is None else _labelled_row(grouped[detail], row, detail) for row in rows]
+
+
+def _labelled_row(models: Sequence[Mesh], row: _Plants, detail: FarDetail) -> Mesh:
     """A row with the instances of its plants, whose numbers ascend along the row."""
-    mesh = _row_mesh(models, row, first_plant)
+    mesh = _row_mesh(models, row)
     if detail == FarDetail.ROWS:
         # The organs of a row belong to no single plant.
         classes, group = np.unique(mesh.instance_class, return_inverse=True)
@@ -190,14 +277,14 @@ def _labelled_row(models: Sequence[Mesh], row: _DrawnRow, first_plant: int, deta
     return mesh
 
 
-def _row_mesh(models: Sequence[Mesh], row: _DrawnRow, first_plant: int) -> Mesh:
-    """The plants of a row; those of one model are placed together."""
+def _row_mesh(models: Sequence[Mesh], row: _Plants) -> Mesh:
+    """The coarse plants of a row; those of one model are placed together."""
     parts: list[Mesh] = []
     instances: list[Instance] = []
     for number in np.unique(row.choice):
         model, members = models[number], np.flatnonzero(row.choice == number)
         parts.append(_repeated_plant(model, row.rotations[members], row.bases[members]))
-        for plant in (first_plant + members).tolist():
+        for plant in row.plants[members].tolist():
             first = len(instances)
             instances += [
                 item.numbered(plant, item.parent + first if item.parent >= 0 else -1, row.number)

@@ -53,18 +53,13 @@ class ViewFrustums:
         return visible
 
 
-def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
-    """The frustums of a camera at some poses; those of a line scanner, which sweeps, contain everything.
+def view_sides(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The half-spaces that contain all that a camera shows at one moment, in its own axes.
 
-    Lens distortion may bend the image border: the half-spaces use its largest slopes. They also contain the
-    entrance pupil, where camera rays start, and the flash, where shadow rays end, and so everything that can
-    occlude or shadow what is visible.
-
-    Args:
-        camera: lens, sensor, focus and flash; its own pose is not used.
-        poses: `(p, 4, 4)` camera to world.
+    Returns:
+        `(5, 3)` unit vectors into the view: left, right, top, bottom, front; and `(5,)` how far each
+        half-space extends beyond the projection centre, metres, so that it contains pupil and flash.
     """
-    pose = as_poses(poses)
     # Beyond the focal plane, the rays of a pixel spread by the pupil's radius per focus distance.
     pupil = 0.0 if camera.focus_m is None else camera.aperture_radius_m
     spread = 0.0 if camera.focus_m is None else pupil / camera.focus_m
@@ -77,7 +72,22 @@ def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
     if camera.flash is not None:
         extent = (camera.flash.radius_m - inward @ camera.flash.emitter_positions().T).max(axis=1)
         margin = np.maximum(margin, extent)
+    return inward, margin
 
+
+def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
+    """The frustums of a camera at some poses; those of a line scanner, which sweeps, contain everything.
+
+    Lens distortion may bend the image border: the half-spaces use its largest slopes. They also contain the
+    entrance pupil, where camera rays start, and the flash, where shadow rays end, and so everything that can
+    occlude or shadow what is visible.
+
+    Args:
+        camera: lens, sensor, focus and flash; its own pose is not used.
+        poses: `(p, 4, 4)` camera to world.
+    """
+    pose = as_poses(poses)
+    inward, margin = view_sides(camera)
     if camera.sensor.line_scan:
         inward, margin = np.zeros_like(inward), np.ones_like(margin)
     normals = np.einsum("pij,kj->pki", pose[:, :3, :3], inward)

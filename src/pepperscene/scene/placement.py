@@ -33,8 +33,10 @@ class Skeleton:
         bases: `(n, 3)` positions of the stem bases, metres.
         turns: `(n,)` radians about the vertical, counter-clockwise seen from above.
         motions: rotations that resolved the row's contacts, by instance numbers of the scene.
-        fingerprints: `(i,)` of the triangles of the plants' instances, as the poses describe them (see
-            `instance_fingerprints`); None before a scene was assembled.
+        starts: first instance of each plant in the scene, ascending; empty if the plants follow each other
+            from instance 0 on.
+        fingerprints: `(i,)` of the triangles of the scene's instances up to the last plant, as the poses
+            describe them (see `instance_fingerprints`); None before a scene was assembled.
     """
 
     plants: tuple[Plant, ...]
@@ -42,11 +44,12 @@ class Skeleton:
     bases: NDArray[np.float64]
     turns: NDArray[np.float64]
     motions: tuple[JointRotation, ...] = ()
+    starts: tuple[int, ...] = ()
     fingerprints: NDArray[np.uint64] | None = None
 
     def __post_init__(self) -> None:
         counts = {len(self.plants), len(self.sizes), len(self.bases), len(self.turns)}
-        if len(counts) > 1:
+        if len(counts | ({len(self.starts)} if self.starts else set())) > 1:
             raise ValueError(f"plants, sizes, bases and turns must be equally many, not {sorted(counts)}")
         for plant, size in zip(self.plants, self.sizes, strict=True):
             if size < len(plant.organs):
@@ -58,10 +61,8 @@ class Skeleton:
         Raises:
             ValueError: the instance is not an organ of the plants.
         """
-        location = self._locate(instance)
-        if location is None:
-            raise ValueError(f"instance {instance} is not an organ of a plant")
-        number, index = location
+        number = self.plant_index(instance)
+        index = instance - self._first_instances[number]
         organs, first = self.plants[number].organs, self._first_instances[number]
         organ = organs[index]
         # Place the plant.
@@ -77,6 +78,23 @@ class Skeleton:
                 up = motion.rotation @ up
         parent = first + organ.parent if organ.parent >= 0 else organ.parent
         return replace(organ, curve=curve, up=up, parent=parent)
+
+    def plant_index(self, instance: int) -> int:
+        """The position in `plants` of an organ's plant; raises `ValueError` as `organ` does."""
+        location = self._locate(instance)
+        if location is None:
+            raise ValueError(f"instance {instance} is not an organ of a plant")
+        return location[0]
+
+    def measures(self, instance: int) -> Mapping[str, float]:
+        """The measures of an organ, as `Organ.measures`; raises `ValueError` as `organ` does."""
+        number = self.plant_index(instance)
+        return self.plants[number].organs[instance - self._first_instances[number]].measures
+
+    def instances(self) -> tuple[int, ...]:
+        """All instances of the plants, with their twine, ascending."""
+        runs = zip(self._first_instances, self.sizes, strict=True)
+        return tuple(index for first, size in runs for index in range(first, first + size))
 
     def kind(self, instance: int) -> OrganKind | None:
         """The organ kind of an instance of the scene; None if it is not an organ of the plants."""
@@ -112,7 +130,9 @@ class Skeleton:
         if self.fingerprints is None:
             return
         found = instance_fingerprints(mesh, len(self.fingerprints))
-        moved = np.flatnonzero((found != self.fingerprints) & (found != 0))
+        instances = np.array(self.instances(), np.intp)
+        instances = instances[instances < len(found)]
+        moved = instances[(found != self.fingerprints)[instances] & (found != 0)[instances]]
         if len(moved):
             index = int(moved[0])
             kind = mesh.instances[index].kind
@@ -122,7 +142,7 @@ class Skeleton:
 
     @cached_property
     def _first_instances(self) -> tuple[int, ...]:
-        return tuple(accumulate(self.sizes, initial=0))[:-1]
+        return self.starts or tuple(accumulate(self.sizes, initial=0))[:-1]
 
 
 def instance_fingerprints(mesh: Mesh, count: int) -> NDArray[np.uint64]:
@@ -160,7 +180,7 @@ class Scene:
         mesh: all triangles.
         surfaces: one for each of `mesh.surfaces`, in that order; empty if only labels are rendered.
         sky: daylight, or None for a night scene.
-        skeleton: plants whose organs are the first instances of the mesh; None without output "harvest".
+        skeleton: plants whose organs are instances of the mesh; None without output "harvest".
     """
 
     mesh: Mesh
@@ -193,8 +213,9 @@ def assemble_scene(
         ValueError: a surface of the mesh is missing.
     """
     if skeleton is not None and skeleton.fingerprints is None:
-        count = min(sum(skeleton.sizes), len(mesh.instances))
-        skeleton = replace(skeleton, fingerprints=instance_fingerprints(mesh, count))
+        end = max(skeleton.instances(), default=-1) + 1
+        fingerprints = instance_fingerprints(mesh, min(end, len(mesh.instances)))
+        skeleton = replace(skeleton, fingerprints=fingerprints)
     if surfaces is None:
         return Scene(mesh, (), sky, skeleton)
     missing = [name for name in mesh.surfaces if name not in surfaces]

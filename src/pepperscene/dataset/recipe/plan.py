@@ -43,8 +43,9 @@ def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Gene
         stream: purpose of the numbers.
         address: (set, plant) for a plant, its twine and its contacts; (set, 1, plant) for its posture; (set,)
             for the sky; (set, 0) for positions in a row, and (set, rotation, 0) for its contacts; (0, model)
-            for a plant of the far rows, and (1, set, rotation) for their positions; (moment,) for a random
-            view. The address of a varied value is in `variation.draws`.
+            for a plant of the far rows, (2, model) for its twine, (3, model) for its contacts, and
+            (1, set, rotation) for their positions; (moment,) for a random view. The address of a varied value
+            is in `variation.draws`.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), *address)))
 

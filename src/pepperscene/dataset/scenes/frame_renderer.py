@@ -19,6 +19,7 @@ from pepperscene.dataset.recipe.plan import FrameSpec, Stream, frame_seed, rando
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.dataset.scenes.frame_light import largest_light_reach, lit_cameras
+from pepperscene.dataset.scenes.near_scene import NearPlants
 from pepperscene.dataset.scenes.scene_builder import SceneBuilder, make_greenhouse
 from pepperscene.dataset.scenes.scene_worker import SceneWorker
 from pepperscene.dataset.scenes.surfaces import SurfaceFactory, SurfacePreparation, prepare_for_mitsuba
@@ -125,6 +126,7 @@ class FrameRenderer:
         self.views = CameraViews(self.setups, lambda setup: make_greenhouse(setup.recipe.greenhouse))
         self.culled = culled and not self.views.depends_on_scene
         self._renderer_factory = renderer or mitsuba_renderer
+        self._near_plants = NearPlants(self.views, self._renderer_factory)
         self._on_stage = on_stage or _ignore
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
@@ -193,7 +195,10 @@ class FrameRenderer:
                 # Plants are made by two processes as well, so they come first.
                 builder.plants(spec.set, beside)
                 pending = pool.submit(optics, prepare, beside)
-            built = builder.scene(spec.set, spec.rotation)
+            coarse_only = builder.scene(spec.set, spec.rotation)
+            key = (setup.plants, spec.set, spec.rotation)
+            near = self._near_plants.grow(key, coarse_only, builder, others)
+            built = near.built
             mesh = self._cull(built.mesh, others) if self.culled else built.mesh
         surfaces, sky = None, None
         if traced:
@@ -202,7 +207,10 @@ class FrameRenderer:
             "contacts": asdict(built.contacts),
             "geometry": {"triangles": len(mesh.faces), "of": len(built.mesh.faces)},
         }
-        return AssembledScene(assemble_scene(mesh, surfaces, sky, built.skeleton), statistics)
+        scene = assemble_scene(mesh, surfaces, sky, built.skeleton)
+        if near.coarse is not None and self.views.depends_on_scene:
+            self.views.continue_in(scene, near.views, near.coarse)
+        return AssembledScene(scene, statistics)
 
     def sky(self, spec: FrameSpec) -> Sky | None:
         """The daylight of a frame, or None if the recipe has none."""

@@ -171,6 +171,22 @@ class PlantFactory:
         )
         return PlacedPlant(grown.plant, grown.mesh, grown.contacts, posture)
 
+    def far_plant(self, number: int, detail: float = 1.0) -> Plant:
+        """One of the plants that far rows repeat, as drawn; its mesh at this detail fits into memory."""
+        rng = random_generator(self.seed, Stream.FAR, 0, number)
+        return grow_in_memory(self.cultivar, rng, lean=self.greenhouse.row_lean_rad, detail=detail)
+
+    def full_far_plant(self, number: int) -> GrownPlant:
+        """The same plant as those of a set: in full detail, with its twine and contacts resolved."""
+        from pepperscene.geometry import mesh_plant, move_plant, resolve_contacts
+        from pepperscene.scene import Posture
+
+        plant, posture = self.far_plant(number), Posture(lean_rad=self.greenhouse.row_lean_rad)
+        rng = random_generator(self.seed, Stream.FAR, 2, number)
+        mesh = self._with_twine(plant, mesh_plant(plant), posture, rng)
+        resolved = resolve_contacts(mesh, random_generator(self.seed, Stream.FAR, 3, number))
+        return GrownPlant(move_plant(plant, resolved.motions), resolved.mesh, resolved.contacts)
+
     def _with_twine(self, plant: Plant, mesh: Mesh, posture: Posture, rng: np.random.Generator) -> Mesh:
         from pepperscene.scene import Twine, add_twine
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -12,9 +13,9 @@ import numpy as np
 from pepperscene.dataset.recipe.plan import Stream, random_generator, rotate_row
 from pepperscene.dataset.recipe.recipe import Recipe
 from pepperscene.dataset.recipe.tables import GreenhouseTable
-from pepperscene.dataset.scenes.plant_size import grow_in_memory
 from pepperscene.dataset.scenes.plants import (
     MIN_SHARED_PLANTS,
+    GrownPlant,
     PlacedPlant,
     PlantFactory,
     make_plants,
@@ -25,7 +26,7 @@ from pepperscene.dataset.scenes.scene_worker import SceneWorker
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.geometry import ContactCounts, Mesh
-    from pepperscene.scene import DoubleRow, Greenhouse, Skeleton
+    from pepperscene.scene import DoubleRow, FarRow, Greenhouse, Skeleton
 
 
 FAR_DETAIL: Final = 0.3
@@ -40,11 +41,15 @@ class BuiltScene:
         mesh: plants first, then greenhouse and far rows.
         contacts: fruit and blades of the plants that still touch, within plants plus between them.
         skeleton: the plants' organs, with poses as in the mesh.
+        far_rows: the plants of far rows.
+        begin: numbers of vertices, faces and instances of the mesh before the far rows.
     """
 
     mesh: Mesh
     contacts: ContactCounts
     skeleton: Skeleton
+    far_rows: tuple[FarRow, ...] = ()
+    begin: tuple[int, int, int] = (0, 0, 0)
 
 
 class SceneBuilder:
@@ -64,12 +69,14 @@ class SceneBuilder:
         self._processes = plant_processes(processes)
         self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
         self._set: tuple[int, list[PlacedPlant]] | None = None
+        self._full_models: dict[int, GrownPlant] = {}
 
     def scene(self, set_index: int, rotation: int) -> BuiltScene:
-        """Build the scene of a set at a rotation."""
+        """Build the scene of a set at a rotation, with coarse plants in all far rows."""
         from pepperscene.geometry import concatenate_meshes, resolve_contacts
         from pepperscene.scene import (
             Skeleton,
+            draw_far_rows,
             far_row_meshes,
             greenhouse_mesh,
             jittered_positions,
@@ -103,13 +110,68 @@ class SceneBuilder:
         )
 
         # Its surroundings.
-        surroundings = greenhouse_mesh(row, greenhouse, positions)
+        surroundings, far_rows = greenhouse_mesh(row, greenhouse, positions), []
+        parts = [resolved.mesh, *surroundings]
+        begin = (
+            sum(len(part.vertices) for part in parts),
+            sum(len(part.faces) for part in parts),
+            sum(len(part.instances) for part in parts),
+        )
         if greenhouse.far_rows > 0:
             rng = random_generator(seed, Stream.FAR, 1, set_index, rotation)
-            others = len(resolved.mesh.instances) + sum(len(part.instances) for part in surroundings)
-            surroundings += far_row_meshes(self._far_models, row, greenhouse, rng, others)
-        mesh = concatenate_meshes([resolved.mesh, *surroundings]) if surroundings else resolved.mesh
-        return BuiltScene(mesh, _total_contacts(resolved.contacts, plants), skeleton)
+            far_rows = draw_far_rows(len(self.far_models), row, greenhouse, rng)
+            parts += far_row_meshes(self.far_models, far_rows, greenhouse.far_rows_as, begin[2])
+        mesh = concatenate_meshes(parts) if len(parts) > 1 else resolved.mesh
+        contacts = _total_contacts(resolved.contacts, plants)
+        return BuiltScene(mesh, contacts, skeleton, tuple(far_rows), begin)
+
+    def with_full_plants(self, built: BuiltScene, numbers: Collection[int]) -> BuiltScene:
+        """The scene with some plants of the far rows grown in full.
+
+        With labels they are part of the skeleton, so that their fruit have harvest truth.
+
+        Args:
+            built: of `scene`.
+            numbers: of these plants.
+        """
+        from pepperscene.geometry import concatenate_meshes
+        from pepperscene.scene import far_row_meshes
+        from pepperscene.scene.greenhouse import FarRowsAs
+
+        if not numbers:
+            return built
+        chosen = {
+            int(plant): (
+                self._full_model(int(row.choice[member])),
+                float(row.turns[member]),
+                row.bases[member],
+            )
+            for row in built.far_rows
+            for member, plant in enumerate(row.plants)
+            if plant in numbers
+        }
+        meshes = {plant: grown.mesh for plant, (grown, _, _) in chosen.items()}
+        labelled_as = self.greenhouse.far_rows_as
+        rows = far_row_meshes(self.far_models, built.far_rows, labelled_as, built.begin[2], meshes)
+        mesh = concatenate_meshes([_first_part(built.mesh, *built.begin), *rows])
+        if labelled_as != FarRowsAs.LABELS:
+            return replace(built, mesh=mesh)
+
+        # Their organs are in the order of their instances.
+        starts: dict[int, int] = {}
+        for index, item in enumerate(mesh.instances[built.begin[2] :], built.begin[2]):
+            if item.full:
+                starts.setdefault(item.plant, index)
+        old, in_full = built.skeleton, [chosen[plant] for plant in starts]
+        skeleton = replace(
+            old,
+            plants=(*old.plants, *(grown.plant for grown, _, _ in in_full)),
+            sizes=(*old.sizes, *(len(grown.mesh.instances) for grown, _, _ in in_full)),
+            bases=np.concatenate([old.bases, [base for _, _, base in in_full]]),
+            turns=np.concatenate([old.turns, [turn for _, turn, _ in in_full]]),
+            starts=(*accumulate(old.sizes[:-1], initial=0), *starts.values()),
+        )
+        return replace(built, mesh=mesh, skeleton=skeleton)
 
     def plants(self, set_index: int, worker: SceneWorker | None = None) -> list[PlacedPlant]:
         """The plants of a set, those of the front row first; a `worker` that helps is left open."""
@@ -141,18 +203,39 @@ class SceneBuilder:
         return make_greenhouse(self.recipe.greenhouse)
 
     @cached_property
-    def _far_models(self) -> list[Mesh]:
+    def far_models(self) -> list[Mesh]:
         """The coarse plants that far rows consist of, the same in every scene."""
         from pepperscene.geometry import mesh_plant
         from pepperscene.scene import coarsen_plant
         from pepperscene.scene.far_rows import FAR_ROW_PLANTS
 
-        models = []
-        for number in range(FAR_ROW_PLANTS):
-            rng = random_generator(self.recipe.seed, Stream.FAR, 0, number)
-            plant = grow_in_memory(self.cultivar, rng, lean=self.greenhouse.row_lean_rad, detail=FAR_DETAIL)
-            models.append(coarsen_plant(mesh_plant(plant, FAR_DETAIL)))
-        return models
+        return [
+            coarsen_plant(mesh_plant(self._factory.far_plant(number, FAR_DETAIL), FAR_DETAIL))
+            for number in range(FAR_ROW_PLANTS)
+        ]
+
+    def _full_model(self, number: int) -> GrownPlant:
+        """One of these plants in full, grown when it is first needed."""
+        if number not in self._full_models:
+            self._full_models[number] = self._factory.full_far_plant(number)
+        return self._full_models[number]
+
+
+def _first_part(mesh: Mesh, vertices: int, faces: int, instances: int) -> Mesh:
+    """The first objects of a mesh."""
+    return replace(
+        mesh,
+        vertices=mesh.vertices[:vertices],
+        normals=mesh.normals[:vertices],
+        uv=mesh.uv[:vertices],
+        state=mesh.state[:vertices],
+        faces=mesh.faces[:faces],
+        face_instance=mesh.face_instance[:faces],
+        face_surface=mesh.face_surface[:faces],
+        face_appearance=mesh.face_appearance[:faces],
+        instances=mesh.instances[:instances],
+        colour=mesh.colours_of(slice(vertices)),
+    )
 
 
 def _total_contacts(between: ContactCounts, plants: Sequence[PlacedPlant]) -> ContactCounts:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,31 @@ from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, STEREO_OUTPUTS
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera
     from pepperscene.dataset.views.free_space import FreeSpace
+    from pepperscene.dataset.views.near_plants import CoarsePlants, NearViews
+    from pepperscene.dataset.views.random_views import RandomView
     from pepperscene.render.visibility import PointTest
     from pepperscene.scene import Greenhouse, Scene, ViewFrustums
+
+
+DrawnViews = Mapping[tuple[int, Views], "View | RandomView"]
+"""Views that depend on a scene, by moment and table."""
+
+
+@dataclass(eq=False)
+class _SceneViews:
+    """The views of a scene that depend on it.
+
+    Attributes:
+        drawn: so far.
+        earlier: those of the scene before its near plants were grown in full.
+        coarse: plants that no view may show from near, or None.
+        space: its free space, or None until it is needed.
+    """
+
+    drawn: dict[tuple[int, Views], View | RandomView] = field(default_factory=dict)
+    earlier: DrawnViews = field(default_factory=dict)
+    coarse: CoarsePlants | None = None
+    space: FreeSpace | None = None
 
 
 class CameraViews:
@@ -35,13 +59,17 @@ class CameraViews:
     def __init__(self, setups: FrameSetups, greenhouse: Callable[[FrameSetup], Greenhouse]) -> None:
         self._setups, self._greenhouse = setups, greenhouse
         self._plan = setups.resolved.recipe.plan
-        # The last views that depend on a scene: of the scene with this key, by moment and table.
-        self._of_scene: tuple[object, dict[tuple[int, Views], View], FreeSpace | None] = (None, {}, None)
+        self._of_scene: WeakKeyDictionary[Scene, _SceneViews] = WeakKeyDictionary()
 
     @property
     def depends_on_scene(self) -> bool:
         """Whether views depend on the plants, so that no part of a scene can be left out before."""
         return isinstance(self._setups.resolved.recipe.views, RandomViews | FunctionViews)
+
+    @property
+    def are_random(self) -> bool:
+        """Whether views are random."""
+        return isinstance(self._setups.resolved.recipe.views, RandomViews)
 
     def camera(self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None) -> Camera:
         """The camera of a frame at its pose.
@@ -52,7 +80,10 @@ class CameraViews:
             visible: tests whether points of that scene are visible; needed for random views.
         """
         setup = self._setups.at(spec)
-        view = self._view(spec, setup, scene, visible)
+        return self._camera_at(spec, setup, self._view(spec, setup, scene, visible))
+
+    def _camera_at(self, spec: FrameSpec, setup: FrameSetup, view: View) -> Camera:
+        """The camera of a frame with a view."""
         camera = setup.camera
         if spec.camera:
             extrinsics = self._setups.resolved.recipe.rig[spec.camera - 1].extrinsics
@@ -94,10 +125,16 @@ class CameraViews:
         It moves with the main camera, also in frames of other cameras of a rig.
         """
         setup = self._setups.at(spec)
+        if setup.depth_camera is None:
+            return None
+        return self._depth_camera_at(setup, self._view(spec, setup, scene, visible))
+
+    def _depth_camera_at(self, setup: FrameSetup, view: View) -> DepthCamera | None:
+        """The depth camera of a frame with a view, or None."""
         table, depth_camera = setup.recipe.depth_camera, setup.depth_camera
         if table is None or depth_camera is None:
             return None
-        view = _view_of_rig(self._view(spec, setup, scene, visible), table.extrinsics)
+        view = _view_of_rig(view, table.extrinsics)
         left = depth_camera.left.at_pose(view.pose)
         return depth_camera.with_left(left if view.motion is None else replace(left, motion=view.motion))
 
@@ -109,15 +146,7 @@ class CameraViews:
         groups: dict[tuple[str, int, int], list[Camera]] = {}
         for spec in specs:
             setup = self._setups.at(spec)
-            baseline_mm = setup.recipe.camera.baseline_mm
-            cameras = [self.camera(spec)]
-            if baseline_mm is not None:
-                cameras.append(_stereo_partner(cameras[0], baseline_mm / 1e3))
-            cameras = [self._longest_exposure(spec, camera) for camera in cameras]
-            depth_camera = self.depth_camera(spec)
-            if depth_camera is not None:
-                cameras += depth_camera.longest_exposed()
-            for number, camera in enumerate(cameras):
+            for number, camera in enumerate(self._all_cameras(spec, self._view(spec, setup, None, None))):
                 key = (setup.optics, number, spec.camera)
                 groups.setdefault(key, []).extend(_along_motion(camera))
         parts = [
@@ -130,6 +159,46 @@ class CameraViews:
             np.concatenate([part.offsets for part in parts]),
             np.concatenate([part.positions for part in parts]),
         )
+
+    def near_views(
+        self, specs: Iterable[FrameSpec], scene: Scene | None = None, visible: PointTest | None = None
+    ) -> NearViews:
+        """What all cameras of some frames show from near, partners included; arguments as of `camera`."""
+        from pepperscene.dataset.views.near_plants import near_views
+
+        views = [(spec, self._view(spec, self._setups.at(spec), scene, visible)) for spec in specs]
+        return near_views(camera for spec, view in views for camera in self._all_cameras(spec, view))
+
+    def drawn(self, scene: Scene) -> DrawnViews:
+        """The views of a scene that depend on it and are drawn so far."""
+        return dict(self._of_scene[scene].drawn) if scene in self._of_scene else {}
+
+    def continue_in(self, scene: Scene, earlier: DrawnViews, coarse: CoarsePlants) -> None:
+        """Keep views in a scene whose near plants are grown in full.
+
+        Args:
+            scene: in which views of functions are the same as before, and random ones where they are still
+                within their limits.
+            earlier: views of the scene before.
+            coarse: its other plants of far rows, which random views do not show from near.
+        """
+        self._of_scene[scene] = _SceneViews(earlier=earlier, coarse=coarse)
+
+    def _all_cameras(self, spec: FrameSpec, view: View) -> list[Camera]:
+        """All cameras of a frame with a view: its own, the partner, the imagers of the depth camera.
+
+        They have the longest exposure that they can have.
+        """
+        setup = self._setups.at(spec)
+        baseline_mm = setup.recipe.camera.baseline_mm
+        cameras = [self._camera_at(spec, setup, view)]
+        if baseline_mm is not None:
+            cameras.append(_stereo_partner(cameras[0], baseline_mm / 1e3))
+        cameras = [self._longest_exposure(spec, camera) for camera in cameras]
+        depth_camera = self._depth_camera_at(setup, view)
+        if depth_camera is not None:
+            cameras += depth_camera.longest_exposed()
+        return cameras
 
     def _longest_exposure(self, spec: FrameSpec, camera: Camera) -> Camera:
         """The camera with the longest exposure that it can have in a frame."""
@@ -144,42 +213,78 @@ class CameraViews:
             return fixed_view(table, spec.step, frames, self._greenhouse(setup), where)
         if scene is None:
             raise ValueError(f"views of the kind {table.kind} need a scene")
-        key = (spec.scene, setup.plants)
-        if self._of_scene[0] != key:
-            self._of_scene = (key, {}, None)
-        views = self._of_scene[1]
+        of_scene, key = self._of_scene.setdefault(scene, _SceneViews()), (spec.moment, table)
         # Twins can differ in their views.
-        if (spec.moment, table) not in views:
-            if isinstance(table, FunctionViews):
+        if key not in of_scene.drawn:
+            if isinstance(table, RandomViews):
+                of_scene.drawn[key] = self._random_view(spec, setup, table, scene, visible, of_scene)
+            elif key in of_scene.earlier:
+                of_scene.drawn[key] = of_scene.earlier[key]
+            else:
                 from pepperscene.dataset.views.user_function import function_poses
 
                 self._setups.resolved.check_code()
                 rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.scene, 0)
                 poses = function_poses(table, scene, rng, frames)
                 first = spec.moment - spec.step
-                views |= {(first + step, table): View(pose) for step, pose in enumerate(poses)}
-            else:
-                views[spec.moment, table] = self._random_view(spec, setup, table, scene, visible)
-        return views[spec.moment, table]
+                of_scene.drawn |= {(first + step, table): View(pose) for step, pose in enumerate(poses)}
+        drawn = of_scene.drawn[key]
+        return drawn if isinstance(drawn, View) else View(drawn.pose)
 
     def _random_view(
-        self, spec: FrameSpec, setup: FrameSetup, table: RandomViews, scene: Scene, visible: PointTest | None
-    ) -> View:
+        self,
+        spec: FrameSpec,
+        setup: FrameSetup,
+        table: RandomViews,
+        scene: Scene,
+        visible: PointTest | None,
+        of_scene: _SceneViews,
+    ) -> RandomView:
         from pepperscene.dataset.views.free_space import FreeSpace
-        from pepperscene.dataset.views.random_views import random_view, random_view_settings
+        from pepperscene.dataset.views.random_views import RandomView, random_view, random_view_settings
 
         if visible is None:
             raise ValueError("random views need a test of visibility")
-        key, views, space = self._of_scene
-        if space is None:
-            space = FreeSpace(scene.mesh)
-            self._of_scene = (key, views, space)
+        if of_scene.space is None:
+            of_scene.space = FreeSpace(scene.mesh)
         # Twins and the cameras of a rig share the view of the first.
         camera = self._setups.at(self._plan.first_of_moment(spec)).camera
         rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.moment)
         where = f"{self._setups.resolved.recipe.name}, frame {spec.index}"
         settings = random_view_settings(table)
-        return View(random_view(settings, scene, camera, rng, visible, space, where).pose)
+        earlier, coarse = of_scene.earlier.get((spec.moment, table)), of_scene.coarse
+        return random_view(
+            settings,
+            scene,
+            camera,
+            rng,
+            visible,
+            of_scene.space,
+            where,
+            rejected=None if coarse is None else lambda pose: self._shows_coarse(spec, setup, pose, coarse),
+            earlier=earlier if isinstance(earlier, RandomView) else None,
+        )
+
+    def _shows_coarse(
+        self, spec: FrameSpec, setup: FrameSetup, pose: NDArray[np.float64], coarse: CoarsePlants
+    ) -> bool:
+        """Whether any camera of a moment shows a coarse plant from near, with the main camera at a pose."""
+        from pepperscene.dataset.views.near_plants import near_views
+
+        first = self._plan.first_of_moment(spec)
+        step = self._plan.frames * self._plan.cameras
+        indices = [
+            first.index + twin * step + camera
+            for twin in range(self._plan.twins)
+            for camera in range(self._plan.cameras)
+        ]
+        cameras = [
+            camera
+            for one in map(self._plan.frame, indices)
+            if self._setups.at(one).recipe.views == setup.recipe.views
+            for camera in self._all_cameras(one, View(pose))
+        ]
+        return bool(coarse.shown_near(near_views(cameras)))
 
 
 def check_further_cameras(recipe: Recipe, outputs: Iterable[str]) -> None:

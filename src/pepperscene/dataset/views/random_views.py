@@ -134,10 +134,13 @@ def random_view(
     visible: PointTest,
     free_space: FreeSpace | None = None,
     where: str | Path = "random view",
+    *,
+    rejected: Callable[[FloatArray], bool] | None = None,
+    earlier: RandomView | None = None,
 ) -> RandomView:
     """Draw a random view of a scene.
 
-    It depends on the settings, the scene, the camera and the generator's state alone.
+    It depends on the arguments and the generator's state alone.
 
     Args:
         settings: its limits.
@@ -147,37 +150,42 @@ def random_view(
         visible: `visible_points` of the scene's `Renderer`.
         free_space: of the scene's mesh, which further views can use too; None makes it.
         where: name of the recipe that the settings are from, for errors.
+        rejected: whether a `(4, 4)` pose shows coarse plants from near, which is a limit too.
+        earlier: a view that is kept if it is within all limits.
 
     Raises:
         InputError: the scene has no such target, or no candidate is within all limits.
     """
-    from pepperscene.render.visibility import visible_fraction
-
     search = _Search(settings, scene, camera, free_space or FreeSpace(scene.mesh), where)
-    rejected: Counter[str] = Counter()
+
+    def test(candidates: _Candidates, row: int, failed: str, attempts: int) -> RandomView | str:
+        """The view of a candidate, or the limit that it fails."""
+        if failed:
+            return failed
+        view = search.view(candidates, row, attempts, visible)
+        if view.visibility < settings.least_visibility:
+            return f"showed less than least_visibility = {settings.least_visibility:g} of the target"
+        if rejected is not None and rejected(view.pose):
+            return "showed a coarse plant of the far rows from near"
+        return view
+
+    if earlier is not None:
+        candidates = search.candidate(earlier)
+        kept = test(candidates, 0, search.failed_limits(candidates)[0], earlier.attempts)
+        if isinstance(kept, RandomView):
+            return kept
+    reasons: Counter[str] = Counter()
     first, block = 0, _BLOCKS[0]
     while first < settings.attempts:
         # Always draw a whole block, so that the number of attempts does not change the views.
         candidates = search.draw(block, rng).rows(slice(settings.attempts - first))
         for row, failed in enumerate(search.failed_limits(candidates)):
-            attempts, target = first + row + 1, candidates.target[row]
-            if not failed:
-                visibility = visible_fraction(
-                    visible,
-                    camera.at_pose(candidates.pose[row]),
-                    target.samples,
-                    target.normals,
-                    closed=target.closed,
-                    instance=target.instance,
-                )
-                if visibility >= settings.least_visibility:
-                    return RandomView(
-                        candidates.pose[row], target.instance, target.point, visibility, attempts
-                    )
-                failed = f"showed less than least_visibility = {settings.least_visibility:g} of the target"
-            rejected[failed] += 1
+            found = test(candidates, row, failed, first + row + 1)
+            if isinstance(found, RandomView):
+                return found
+            reasons[found] += 1
         first, block = first + block, min(2 * block, _BLOCKS[1])
-    counts = ", ".join(f"{number:,} {failed}" for failed, number in rejected.most_common())
+    counts = ", ".join(f"{number:,} {failed}" for failed, number in reasons.most_common())
     raise InputError(where, f"no view found in {settings.attempts:,} attempts: {counts}")
 
 
@@ -228,6 +236,26 @@ class _Search:
         points = np.array([item.point for item in target])
         pose[:, :3, 3] = points + distance[:, None] * directions(elevation, azimuth)
         return _Candidates(target, pose, is_possible)
+
+    def candidate(self, view: RandomView) -> _Candidates:
+        """A view as the only candidate."""
+        instance = -1 if view.target_instance is None else view.target_instance
+        return _Candidates([self._target(instance)], view.pose[None], np.array([True]))
+
+    def view(self, candidates: _Candidates, row: int, attempts: int, visible: PointTest) -> RandomView:
+        """The view of a candidate, with what is visible of its target."""
+        from pepperscene.render.visibility import visible_fraction
+
+        pose, target = candidates.pose[row], candidates.target[row]
+        visibility = visible_fraction(
+            visible,
+            self._camera.at_pose(pose),
+            target.samples,
+            target.normals,
+            closed=target.closed,
+            instance=target.instance,
+        )
+        return RandomView(pose, target.instance, target.point, visibility, attempts)
 
     def failed_limits(self, candidates: _Candidates) -> list[str]:
         """The first limit that each candidate fails, as the end of a sentence; "" for none."""

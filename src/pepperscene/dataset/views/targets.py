@@ -55,7 +55,7 @@ class Target:
 def target_instances(scene: Scene, name: str, where: str | Path) -> NDArray[np.intp]:
     """`(n,)` indices of the instances that a target's name refers to, ascending.
 
-    Only instances of the labelled plants that have triangles count.
+    Only instances of the recipe's own plants that have triangles count, not those of far rows.
 
     Args:
         scene: with its skeleton, if it has one, which holds the kinds of organs and the ripeness of fruit.
@@ -66,8 +66,9 @@ def target_instances(scene: Scene, name: str, where: str | Path) -> NDArray[np.i
         InputError: no organ of the plants has this name, or none of them is in the scene.
     """
     mesh, runs = scene.mesh, scene.mesh.face_runs
-    plants = range(len(mesh.instances)) if scene.skeleton is None else range(sum(scene.skeleton.sizes))
-    labelled = [index for index in plants if mesh.instances[index].plant >= 0]
+    items = mesh.instances
+    plants = range(len(items)) if scene.skeleton is None else scene.skeleton.instances()
+    labelled = [index for index in plants if items[index].plant >= 0 and items[index].far_row < 0]
     classes = _classes()
     kinds = {mesh.instances[index].kind for index in labelled}
     if scene.skeleton is not None:
@@ -145,10 +146,6 @@ def _fruit_ripeness(scene: Scene, labelled: list[int]) -> dict[int, float]:
         fruit = [index for index in labelled if mesh.instances[index].organ_class == OrganClass.PEPPER]
         rows = {index: mesh.faces[mesh.face_runs.rows(index)] for index in fruit}
         return {index: float(mesh.state[faces].mean()) for index, faces in rows.items() if len(faces)}
-    ripeness, first = {}, 0
-    for plant, size in zip(scene.skeleton.plants, scene.skeleton.sizes, strict=True):
-        for index, organ in enumerate(plant.organs, first):
-            if plant.kinds[organ.kind].form == "fruit":
-                ripeness[index] = float(organ.measures.get("ripeness", 0.0))
-        first += size
-    return ripeness
+    own = set(labelled)
+    fruit = [index for index in scene.skeleton.of_form("fruit") if index in own]
+    return {index: float(scene.skeleton.measures(index).get("ripeness", 0.0)) for index in fruit}

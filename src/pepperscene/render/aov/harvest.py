@@ -108,13 +108,13 @@ class SceneHarvest:
         names = ("ripeness", "ripeness_spread", "length_m", "diameter_m")
         measures = {name: float(organ.measures.get(name, 0.0)) for name in names}
         stalk = find_fruit_stalk(self._skeleton, ancestors)
-        approach = tool_approach(centre, self._stem_axis(instance.plant))
+        approach = tool_approach(centre, self._stem_axis(self._skeleton.plant_index(index)))
         return FruitTruth(index, instance, pose, low, high, measures, end, ancestors, stalk, approach)
 
     def _stem_axis(self, plant: int) -> NDArray[np.float64]:
-        """`(k, 3)` axis of a plant's main stem."""
+        """`(k, 3)` axis of the main stem of a plant, by its position in the skeleton."""
         if plant not in self._stem_axes:
-            parts = self._skeleton.of_form("internode", "node", plant=max(plant, 0))
+            parts = self._skeleton.of_form("internode", "node", plant=plant)
             self._stem_axes[plant] = np.concatenate([self._skeleton.organ(part).curve for part in parts])
         return self._stem_axes[plant]
 

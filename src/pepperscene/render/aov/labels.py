@@ -93,7 +93,7 @@ def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dic
     """Describe each instance that has a pixel, by its value in the instance image.
 
     The `box` [x0, y0, x1, y1] contains all its pixels: columns x0 to x1 - 1, rows y0 to y1 - 1. Only those of
-    far rows have the key `far`, which is True.
+    coarse plants of far rows have the key `far`, which is True.
     """
     described: dict[str, dict[str, Any]] = {}
     for value, pixels, *box in _pixel_extents(instance).tolist():
@@ -107,7 +107,7 @@ def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dic
             "pixels": pixels,
             "box": box,
         }
-        if item.far_row >= 0:
+        if item.far_row >= 0 and not item.full:
             described[str(value)]["far"] = True
     return described
 
