@@ -19,7 +19,8 @@ METHODS = {"open", "read_text", "read_bytes", "fromfile", "memmap", "imread", "g
 FUNCTIONS = {
     "open", "safe_open", "load_file", "np.load", "torch.load", "pickle.load", "trimesh.load",
     "trimesh.load_mesh", "OpenEXR.File", "parquet.read_table", "parquet.ParquetFile", "pyarrow.OSFile",
-    "pyarrow.memory_map", "zipfile.ZipFile", "shutil.copy", "shutil.copy2", "shutil.copyfile", "shutil.copytree",
+    "pyarrow.memory_map", "zipfile.ZipFile", "shutil.copy", "shutil.copy2", "shutil.copyfile",
+    "shutil.copytree",
 }  # fmt: skip
 
 EXCEPTIONS = {
