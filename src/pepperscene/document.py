@@ -125,6 +125,8 @@ def parse_json(content: bytes, kind: FileKind = "json") -> Any:
 def _check_cost(text: str, path: Path) -> None:
     """Refuse what costs far more than its length: many keys and tables, and keys of many parts."""
     if sum(map(text.count, "=[{")) > _MOST_KEYS:
+        if "[" * (_MAX_DEPTH + 1) in text:
+            raise InputError(path, f"is nested too deeply: more than {_MAX_DEPTH} levels")
         raise InputError(path, f"has more than {_MOST_KEYS:,} keys, tables and lists")
     # The parser's time for a dotted key grows with the square of its parts.
     if text.count(".") > _MAX_DEPTH and _LONG_KEY.search(text):

@@ -15,7 +15,7 @@ import socket
 import sys
 from pathlib import Path
 
-LIMIT_S = 20  # for a case that never ends; most take milliseconds
+LIMIT_S = 60  # for a case that never ends; most take milliseconds
 LIMIT_BYTES = 300_000_000  # more than after the imports
 HUGE = 20_000_000_000
 
@@ -121,6 +121,8 @@ CONTENTS = {
     "text.toml": 'name = "' + "x" * 5_000_000 + '"',
     "names.toml": 'extends = "demo"\nname = "a"\n[camera]\nexposure_us = { in_turn = ['
     + ",".join(f'"{n}"' for n in range(100_000)) + "] }",
+    "turns.toml": 'extends = "demo"\nname = "a"\n[camera]\nexposure_us = { in_turn = ['
+    + ",".join(f"{100 + n / 1000}" for n in range(200_000)) + ",-5] }",
     "outcomes.toml": 'extends = "demo"\nname = "a"\n[camera.exposure_us]\n'
     + "".join(f"{n} = 1e-5\n" for n in range(100, 100_100)),
 }  # fmt: skip
@@ -223,15 +225,17 @@ def empty(path):
 
 def main():
     everything = list(cases())
-    for name, run in everything[:1] + everything[-1:]:
-        # Imports and caches.
+    # What is imported and cached by a data set without damage is not counted.
+    for run in operations().values():
         empty(Path())
-        outcome(run)
+        shutil.copytree("set", "damaged")
+        outcome(lambda run=run: run(Path("damaged")))
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (size + LIMIT_BYTES,) * 2)
     for name, run in everything:
         empty(Path())
-        print(json.dumps({"name": name, **outcome(run)}), flush=True)
+        sys.stdout.write(json.dumps({"name": name, **outcome(run)}) + "\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

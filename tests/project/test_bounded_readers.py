@@ -1,4 +1,4 @@
-"""Every file is opened for reading by `pepperscene.user_files`, save for what is listed here with its reason."""
+"""Every file is opened for reading by `pepperscene.user_files`, except for what is listed here."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ METHODS = {"open", "read_text", "read_bytes", "fromfile", "memmap", "imread", "g
 """Methods that read a file, whatever they belong to."""
 
 FUNCTIONS = {
-    "open", "safe_open", "load_file", "np.load", "torch.load", "pickle.load", "trimesh.load", "trimesh.load_mesh",
-    "OpenEXR.File", "parquet.read_table", "parquet.ParquetFile", "pyarrow.OSFile", "pyarrow.memory_map",
-    "zipfile.ZipFile", "shutil.copy", "shutil.copy2", "shutil.copyfile", "shutil.copytree",
+    "open", "safe_open", "load_file", "np.load", "torch.load", "pickle.load", "trimesh.load",
+    "trimesh.load_mesh", "OpenEXR.File", "parquet.read_table", "parquet.ParquetFile", "pyarrow.OSFile",
+    "pyarrow.memory_map", "zipfile.ZipFile", "shutil.copy", "shutil.copy2", "shutil.copyfile",
+    "shutil.copytree",
 }  # fmt: skip
 
 EXCEPTIONS = {
@@ -97,9 +98,9 @@ def test_every_file_is_opened_by_the_bounded_reader_or_listed():
 
 def test_calls_that_read_files_by_name_are_found():
     for call in (
-        "open(path)", "path.open()", "path.open('rb')", "path.read_text()", "path.read_bytes()", "np.load(path)",
-        "Image.open(path)", "OpenEXR.File(str(path))", "parquet.read_table(path)", "safe_open(path)",
-        "trimesh.load(path)", "tarfile.open(path)", "shutil.copyfile(path, other)",
+        "open(path)", "path.open()", "path.open('rb')", "path.read_text()", "path.read_bytes()",
+        "np.load(path)", "Image.open(path)", "OpenEXR.File(str(path))", "parquet.read_table(path)",
+        "safe_open(path)", "trimesh.load(path)", "tarfile.open(path)", "shutil.copyfile(path, other)",
     ):  # fmt: skip
         assert list(reading_calls(call)) == [call.replace('"', "'")]
     for call in ("path.open('w')", "with open_file(path, 'image') as f:\n Image.open(f)"):
