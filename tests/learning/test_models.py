@@ -278,7 +278,7 @@ def test_models_of_the_user_from_a_file_in_the_current_folder(own_nets):
         ("small,width", "options are key=value, each once"),
         ("small,width=1,width=2", "options are key=value, each once"),
         ("small,width=wide", "width must be a number above 0 and at most 8, not wide"),
-        ("small,width=inf", "small,width=inf cannot be made"),
+        ("small,width=inf", "width must be a number above 0 and at most 8, not inf"),
         ("efficientnet_lite0,frozen=6", "frozen must be 0 to 5, not 6"),
         ("efficientnet_lite0,weights=coco", "weights must be imagenet, or be left out, not 'coco'"),
         ("deeplab_vgg16,field=96", "field must be 128 or 224, not 96"),
