@@ -84,7 +84,7 @@ def test_rejects_wrong_arguments(rejects, bands, tmp_path):
     rejects("nothing: does not exist", bands, *OPTIONS[2:], "--start", nothing)
     rejects("--size: must be width and height in pixels, such as 256x192, not 256", bands, "--size", "256")
     rejects("--size: must be width and height in pixels", bands, "--size", "-4x32")
-    rejects("--size: must be two numbers of pixels, 32 or more", bands, "--size", "8x64")
+    rejects("--size: must be two numbers of pixels, 32 to 8192", bands, "--size", "8x64")
     rejects("--learning-rate: must be above 0, not -1.0", bands, "--learning-rate", "-1")
     rejects("--precision: must be auto, float32, bfloat16", bands, "--precision", "half")
     rejects("--classes: 'apple' is none of background", bands, "--classes", "apple,leaf")

@@ -346,10 +346,10 @@ def test_a_model_states_how_it_was_trained(tmp_path):
     ("changes", "message"),
     [
         ({"steps": 0}, "steps: must be 1 or more, not 0"),
-        ({"batch": -1}, "batch: must be 1 or more, not -1"),
+        ({"batch": -1}, "batch: must be 1 to 4096, not -1"),
         ({"validate": 0}, "validate: must be 1 or more, not 0"),
-        ({"size": (16, 64)}, "size: must be two numbers of pixels, 32 or more, not (16, 64)"),
-        ({"width": 8}, "width: must be 32 or more, not 8"),
+        ({"size": (16, 64)}, "size: must be two numbers of pixels, 32 to 8192, not (16, 64)"),
+        ({"width": 8}, "width: must be 32 to 8192, not 8"),
         ({"learning_rate": 0.0}, "learning_rate: must be above 0, not 0.0"),
         ({"learning_rate": float("nan")}, "learning_rate: must be above 0, not nan"),
         ({"schedule": "step"}, "schedule: must be constant or cosine, not 'step'"),

@@ -18,7 +18,6 @@ _SEEDS: Final = 2**32  # chosen: seeds times steps fit into the 64 bits of torch
 LEAST_SIDE: Final = 32  # chosen: two cells of the coarsest layer of the models
 MOST_SIDE: Final = 8192  # chosen: a network takes some 20 GB for a square of that side
 _MOST_BATCH: Final = 4096  # chosen: far beyond the batches of such networks
-_MOST_STEPS: Final = 10**9  # chosen: years
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,9 @@ class TrainingOptions:
         return filled
 
     def _check(self) -> None:
-        for name, most in (("steps", _MOST_STEPS), ("batch", _MOST_BATCH), ("validate", _MOST_STEPS)):
-            _require(name, getattr(self, name), 1 <= getattr(self, name) <= most, f"1 to {most}")
+        for name in ("steps", "validate"):
+            _require(name, getattr(self, name), getattr(self, name) >= 1, "1 or more")
+        _require("batch", self.batch, 1 <= (self.batch or 0) <= _MOST_BATCH, f"1 to {_MOST_BATCH}")
         sides = f"{LEAST_SIDE} to {MOST_SIDE}"
         _require("width", self.width, self.width is None or LEAST_SIDE <= self.width <= MOST_SIDE, sides)
         is_allowed = LEAST_SIDE <= min(self.size) <= max(self.size) <= MOST_SIDE
