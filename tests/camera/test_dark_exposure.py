@@ -31,7 +31,9 @@ FULL_WELL_PER_S = SENSOR.full_well_e / (
 
 def mono(sensor):
     curves = sensor.quantum_efficiency
-    return replace(sensor, pattern="mono", quantum_efficiency=Spectrum(curves.wavelength_nm, curves.values[1:2]))
+    return replace(
+        sensor, pattern="mono", quantum_efficiency=Spectrum(curves.wavelength_nm, curves.values[1:2])
+    )
 
 
 SENSORS = {

@@ -2,8 +2,8 @@
 
 Daylight adds to an image for as long as it is exposed, the flash only during its pulse, and with a rolling
 shutter only to the rows that are exposed then. So two small images of the light, one of each, predict the
-grey of the developed image for every exposure and gain: with the lens' stray light, the pedestal, and the noise of
-the sensor, without which dark images would be predicted too dark.
+grey of the developed image for every exposure and gain: with the lens' stray light, the pedestal, and the
+noise of the sensor, without which dark images would be predicted too dark.
 
 The mean grey of a reduced image is too bright, because the tone curve raises means of bright and dark: by 3
 to 9 % in images of plants of 120 x 90 pixels. The excess grows with the size of the pixels, as the fraction

@@ -1,9 +1,9 @@
 """The expected image: the mean of a developed image over the noise of its sensor.
 
-Noise does not cancel in the mean of the codes. Black is clipped, so that its noise makes it brighter, and the
-tone curve is steepest there: 0.02 of full scale as a standard deviation raises black from code 0 to 11. So each
-pixel's value is taken as normally distributed, with the variance that its photosites have, and the tone curve
-is averaged over it.
+Noise does not cancel in the mean of the codes: black is clipped, so that its noise makes it brighter, and the
+tone curve is steepest there. So each pixel's value is taken as normally distributed, with the variance that
+its photosites have, and the tone curve is averaged over it. Where the noise of single photosites is clipped,
+with a black level of 0, the mean code of black comes out up to 4 codes too bright.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from pepperscene.camera.sensor import Pattern, Sensor
 from pepperscene.spectra import Spectrum
 
 _NODES: Final = np.linspace(-3.0, 3.0, 17, dtype=np.float32)
-"""Of the average over a normal distribution, in standard deviations. Chosen: equal steps, as the tone curve has
-a corner at black, where the quadrature by Gauss and Hermite with as many nodes is a code worse."""
+"""Of the average over a normal distribution, in standard deviations. Chosen: equal steps, as the tone curve
+has a corner at black, where the quadrature by Gauss and Hermite with as many nodes is a code worse."""
 _CODES: Final = 1 << 16  # entries of the tone table; chosen: next to black, they are 0.05 codes apart
 _NOISE_SIDE: Final = 96  # pixels of an image of noise; chosen: its variance is then exact to 2 %
 
@@ -123,7 +123,7 @@ def _noise_of_pixels(
     channels = 1 if pattern == "mono" else 3
     efficiency = Spectrum(np.array([400.0, 700.0]), np.ones((channels, 2)))
     sensor = Sensor(
-        "noise", _NOISE_SIDE, _NOISE_SIDE, 1e-6, efficiency, 1.0, 0.0, 8, 0.0, binning, pattern, 1.0, reduction
+        "noise", *(_NOISE_SIDE,) * 2, 1e-6, efficiency, 1.0, 0.0, 8, 0.0, binning, pattern, 1.0, reduction
     )
     sites = np.random.default_rng(0).standard_normal(sensor.site_shape, dtype=np.float32)
     if pattern != "mono" and binning == 1:

@@ -165,9 +165,7 @@ class FrameRenderer:
         frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
         return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
 
-    def camera(
-        self, spec: FrameSpec, quality: str | Quality = "standard", *, traced: bool = True
-    ) -> Camera:
+    def camera(self, spec: FrameSpec, quality: str | Quality = "standard", *, traced: bool = True) -> Camera:
         """The camera of a frame, at its pose, with the exposure of the frame.
 
         Args:
