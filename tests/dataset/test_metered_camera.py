@@ -33,7 +33,6 @@ def test_camera_of_a_frame_has_its_metered_exposure(renderer):
     seed = frame_seed(renderer.recipe.seed, spec.index)
     again = render_scene(renderer.scene(spec), camera, ["colour"], "draft", seed)
     assert np.array_equal(again["colour"], frame["colour"])
-    assert abs(frame.metadata["auto_exposure"]["grey"] - frame["colour"].mean()) <= 2.0
     assert frame.metadata["auto_exposure"]["limited_by"] is None
 
 
