@@ -219,7 +219,7 @@ def _grey_predictor(camera: Camera, daylight: Floats, flash: Floats, metering: M
     daylight, flash = (expected_electrons(light, small) * area for light in (daylight, flash))
     # The rows of a rolling shutter that see the flash depend on the exposure, and so does its stray light.
     if camera.developing.stray_light and not _has_flash_shares(camera):
-        daylight, flash = (add_stray_light(light, small) for light in (daylight, flash))
+        daylight, flash = (np.asarray(add_stray_light(light, small), float) for light in (daylight, flash))
 
     fine = _mean_grey(camera, daylight, flash, metering)
     size = small.sensor.pixel_pitch_m / camera.sensor.pixel_pitch_m
@@ -256,7 +256,7 @@ def _mean_grey(camera: Camera, daylight: Floats, flash: Floats, metering: Meteri
             flashed = flashed * _flash_shares(camera, exposure_s, rows)[:, None, None]
         electrons = daylight * exposure_s + flashed
         if _has_flash_shares(camera) and camera.developing.stray_light:
-            electrons = add_stray_light(electrons, small)
+            electrons = np.asarray(add_stray_light(electrons, small), float)
         sensor = camera.sensor if gain == camera.sensor.gain else camera.sensor.with_settings(gain=gain)
         codes = expected_image(factor * electrons, dataclasses.replace(camera, sensor=sensor))
         return 255.0 * float((weights * codes).sum(dtype=np.float64)) / codes.shape[-1]
