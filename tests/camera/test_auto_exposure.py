@@ -27,7 +27,10 @@ from pepperscene.spectra import Spectrum
 
 LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
 SENSOR = replace(load_sensor("ueye_ui5250re"), columns=640, rows=480)
-PLAIN = Developing(falloff=False, white_balance=None, colour_matrix=False)
+# Noise brightens dark images; without it, uniform light has closed forms.
+PLAIN = Developing(
+    falloff=False, white_balance=None, colour_matrix=False, shot_noise=False, read_noise=False, quantise=False
+)
 CAMERA = Camera(LENS, SENSOR, developing=PLAIN)
 SMALL = metering_camera(CAMERA)
 NONE = np.zeros((SMALL.height, SMALL.width, 3))

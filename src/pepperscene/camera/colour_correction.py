@@ -71,7 +71,6 @@ class ColourCorrection:
         return float(np.mean(colour_science().delta_E(target, result, method="CIE 2000")))
 
 
-@lru_cache(maxsize=32)
 def colour_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
     """Fit gains and matrix to a ColorChecker and to leaves under `light`, and to daylights.
 
@@ -89,6 +88,18 @@ def colour_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
         InputError: the sensor cannot distinguish colours under the light: one of its colours does not see it,
             hardly any of it is visible, or it is so narrow that the matrix would amplify noise.
     """
+    return _fitted_correction(_colours(sensor.name, sensor.quantum_efficiency), light)
+
+
+@lru_cache(maxsize=32)
+def _colours(name: str, quantum_efficiency: Spectrum) -> Sensor:
+    """One sensor for all with these colours: automatic exposure tries many gains, and each fit takes .1 s."""
+    return Sensor(name, 2, 2, 1e-6, quantum_efficiency, 1.0, 0.0, 8, 0.0)
+
+
+@lru_cache(maxsize=32)
+def _fitted_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
+    """See `colour_correction`."""
     gains = white_balance_gains(sensor, light)
     power = light.at(NM)
     if not float(power @ cie_1931_observer().at(NM)[1] / power.sum()) > _MIN_LUMINOUS_FRACTION:

@@ -96,7 +96,7 @@ def scene_places(
         # One scene is built at most.
         same = [one for one in specs if renderer.setups.at(one).plants == setup.plants]
         specs = same if grown else []
-    poses = [renderer.camera(one).pose for one in specs]
+    poses = [renderer.camera(one, traced=False).pose for one in specs]
     table, limits = setup.recipe.views, None
     targets, target_name = np.zeros((0, 3)), ""
     if isinstance(table, RandomViews):
@@ -191,7 +191,7 @@ def write_selected_poses(path: Path, renderer: FrameRenderer, indices: Sequence[
     from pepperscene.camera.pose_list import PoseList
 
     file_format = pose_format(path)
-    cameras = [renderer.camera(renderer.recipe.plan.frame(index)) for index in indices]
+    cameras = [renderer.camera(renderer.recipe.plan.frame(index), traced=False) for index in indices]
     times = np.array(indices, dtype=float) if file_format == "tum" else None
     names = tuple(f"{index:06d}.png" for index in indices)
     poses = PoseList(np.array([camera.pose for camera in cameras]), times, names)

@@ -28,7 +28,7 @@ from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfac
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera, WhiteReference
-    from pepperscene.camera.auto_exposure import ExposureControl
+    from pepperscene.camera.auto_exposure import ChosenExposure, ExposureControl
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.render import Quality
@@ -52,6 +52,11 @@ class SceneRenderer(Protocol):
         white_reference: WhiteReference | None = ...,
     ) -> Frame:
         """Render one view; the arguments after `seed` are passed only if a frame needs them."""
+
+    def meter(
+        self, camera: Camera, control: ExposureControl, seed: int, sky: Sky | None, quality: str | Quality
+    ) -> ChosenExposure:
+        """Choose the exposure of a view."""
 
 
 RendererFactory = Callable[["Scene"], SceneRenderer]
@@ -148,7 +153,7 @@ class FrameRenderer:
         held = self._scene_of(spec, setup, needs_surfaces(outputs))
         scene, visible = held.assembled.scene, getattr(held.renderer, "visible_points", None)
         others = self.views.others(spec, outputs, scene, visible)
-        camera = self.camera(spec)
+        camera = self.camera(spec, traced=False)
         seed = frame_seed(self.recipe.seed, spec.index)
         # Renderers receive further arguments only if an output needs them.
         further: dict[str, Any] = {"others": others} if others else {}
@@ -164,12 +169,31 @@ class FrameRenderer:
         frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
         return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
 
-    def camera(self, spec: FrameSpec) -> Camera:
-        """The camera of a frame, at its pose."""
-        if not self.views.depends_on_scene:
+    def camera(self, spec: FrameSpec, quality: str | Quality = "standard", *, traced: bool = True) -> Camera:
+        """The camera of a frame, at its pose, with the exposure of the frame.
+
+        Args:
+            spec: the frame.
+            quality: with which the frame is rendered; an automatic exposure depends on its bounces.
+            traced: whether the camera takes photographs. Without, an automatic exposure is not metered, which
+                takes the scene with its light: the camera then has an exposure of 1 ms. Poses, intrinsics and
+                labels do not depend on it, but with a moving camera that has a rolling shutter.
+        """
+        setup = self.setups.at(spec)
+        control = setup.recipe.exposure_control if traced else None
+        if control is None and not self.views.depends_on_scene:
             return self.views.camera(spec)
-        held = self._scene_of(spec, self.setups.at(spec), traced=False)
-        return self.views.camera(spec, held.assembled.scene, getattr(held.renderer, "visible_points", None))
+        held = self._scene_of(spec, setup, traced=control is not None)
+        visible = getattr(held.renderer, "visible_points", None)
+        camera = self.views.camera(spec, held.assembled.scene, visible)
+        if control is None:
+            return camera
+        from pepperscene.camera.auto_exposure import with_exposure
+
+        # As in the frame itself.
+        seed = frame_seed(self.recipe.seed, spec.index)
+        sky = self.sky(spec)
+        return with_exposure(camera, held.renderer.meter(camera, control.control(), seed, sky, quality))
 
     def scene(self, spec: FrameSpec, *, traced: bool = True) -> Scene:
         """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""

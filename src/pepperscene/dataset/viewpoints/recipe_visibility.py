@@ -203,7 +203,9 @@ class _PoseSource:
 
     def frame_poses(self, specs: Sequence[FrameSpec]) -> FloatArray | None:
         """`(n, 4, 4)` the poses of some frames; None with poses from elsewhere."""
-        return np.array([self.renderer.camera(spec).pose for spec in specs]) if self.of_frames else None
+        if not self.of_frames:
+            return None
+        return np.array([self.renderer.camera(spec, traced=False).pose for spec in specs])
 
     def camera(self, spec: FrameSpec) -> Camera:
         """Lens and sensor of a frame; the pose does not matter."""

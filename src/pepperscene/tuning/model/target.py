@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.dataset import FrameRenderer
+from pepperscene.dataset.recipe.exposure import AUTO
 from pepperscene.errors import InputError
 from pepperscene.tuning.model.observables import observables
 from pepperscene.tuning.model.problem import NO_NEIGHBOURS, FitProblem, NeighbourEffect, Observation
@@ -80,6 +81,9 @@ class TuningTarget:
         self.recipe, self.patches, self.registered = recipe, patches, registered
         self._bounds, self._organs, self._pixels = bounds, organs, pixels
         self._quality, self._seed = quality, seed
+        if recipe.camera.exposure_us == AUTO:
+            problem = "must be a time: colours are tuned at one exposure of all photographs"
+            raise InputError(recipe.name, problem, key="camera.exposure_us", value=AUTO)
         self.frame_renderer = FrameRenderer(recipe)
         self.camera = self.frame_renderer.resolved.camera
         if self.camera.sensor.pattern in ("mono", "bands"):
