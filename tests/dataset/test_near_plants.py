@@ -228,10 +228,10 @@ def test_all_cameras_of_a_frame_count(files):
 def test_frames_without_near_plants_are_as_before():
     """A scene whose far rows are more than a metre from every lens has no full plant."""
     recipe = ps.load_recipe(
-        "multispectral", {"row.plants_front": 5, "row.plants_back": 0, "greenhouse.far_rows": 1}
+        "multispectral", {"row.plants_front": 9, "row.plants_back": 0, "greenhouse.far_rows": 1}
     )
     scene = FrameRenderer(recipe, culled=False).scene(recipe.plan.frame(1), traced=False)
-    assert len(scene.skeleton.plants) == 5
+    assert len(scene.skeleton.plants) == 9
 
 
 @pytest.mark.long
