@@ -19,6 +19,7 @@ from pepperscene.geometry import sphere
 from pepperscene.scene import FarRow
 
 
+@pytest.mark.slow
 def test_later_random_views_show_no_coarse_plant_from_near(monkeypatch):
     # The first view alone decides, and the plants that others would come near to stay coarse.
     monkeypatch.setattr(near_scene, "DECISIVE_VIEWS", 1)

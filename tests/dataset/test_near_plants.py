@@ -10,6 +10,8 @@ from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.shipped import shipped_folder
 
+pytestmark = pytest.mark.slow
+
 NEAR_M = 1.0
 
 RECIPES = sorted(path.stem for path in shipped_folder("recipes").glob("*.toml") if path.stem != "demo")
@@ -157,7 +159,16 @@ def views_of_kind(kind, files):
     }[kind]
 
 
-@pytest.mark.parametrize("kind", ["poses", "function", "path", "grid", "arc", "protocol"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "poses",
+        "function",
+        "path",
+        "grid",
+        *(pytest.param(k, marks=pytest.mark.long) for k in ("arc", "protocol")),
+    ],
+)
 def test_views_of_every_kind_show_no_coarse_plant_from_near(kind, files):
     changes = SMALL | {"row.plants_front": 1, "row.plants_back": 0, "views": views_of_kind(kind, files)}
     renderer, frames = frames_of("greenhouse", changes, range(2))
