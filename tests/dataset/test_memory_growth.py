@@ -39,8 +39,8 @@ def sphere_scene(renderer, spec, **_):
     mesh = sphere(rng.uniform(-0.02, 0.02, 3) + [0, 0, 0.3], 0.15, "matt", subdivisions=6)
     return AssembledScene(assemble_scene(mesh, {"matt": lambertian_surface("matt", 0.5)}), {})
 
-def small_camera(renderer, spec):
-    camera = camera_of(renderer, spec)
+def small_camera(renderer, spec, *arguments, **options):
+    camera = camera_of(renderer, spec, *arguments, **options)
     sensor = camera.sensor
     return replace(camera, sensor=replace(sensor, columns=80, rows=60, binning=10 * sensor.binning))
 

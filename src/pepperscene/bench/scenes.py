@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from pydantic import BaseModel
 
 from pepperscene.camera import Camera, pedestal
 from pepperscene.dataset import FrameRenderer, Recipe, load_recipe
@@ -216,7 +217,7 @@ def load_subject(bench_scene: BenchScene, size: tuple[int, int] | None, frames: 
 
 
 def _update_digest(sha256: Any, value: Any) -> None:
-    """Add nested frozen data to a digest: data classes, tuples, dictionaries, arrays and scalars."""
+    """Add nested frozen data to a digest: data classes, models, tuples, dictionaries, arrays and scalars."""
     sha256.update(type(value).__name__.encode())
     if isinstance(value, np.ndarray):
         sha256.update(f"{value.dtype}{value.shape}".encode())
@@ -232,6 +233,8 @@ def _update_digest(sha256: Any, value: Any) -> None:
     elif isinstance(value, tuple | list):
         for item in value:
             _update_digest(sha256, item)
+    elif isinstance(value, BaseModel):
+        sha256.update(value.model_dump_json().encode())
     elif value is None or isinstance(value, str | int | float | bool | np.generic):
         sha256.update(repr(value).encode())
     else:

@@ -19,8 +19,8 @@ s^2 / 8R: 0.6 mm for the tip of a pointed fruit or of a lobe, R = 4 mm, nothing 
 PATCH_SIZE: Final = 16
 """Points in a patch, chosen: on a blade, a patch is about 3 cm wide."""
 
-_MOST_STEPS: Final = 16
-"""Points along the base of a broad triangle at most. Chosen: 72 mm, which no triangle of a shipped plant
+_MOST_STEPS: Final = 32
+"""Points along the base of a broad triangle at most. Chosen: 144 mm, which no triangle of a shipped plant
 exceeds; a leaf of 2 m would otherwise have half a million points."""
 _BITS: Final = 5  # along either axis of an organ's box, so that all three fit into two bytes
 
