@@ -23,7 +23,7 @@ from pepperscene.geometry.contacts.organs import (
     boxes_overlap,
     overlapping_boxes,
 )
-from pepperscene.geometry.contacts.pairs import PairRules
+from pepperscene.geometry.contacts.pairs import CROWDED, PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 
 PASSES: Final = 8
@@ -204,7 +204,9 @@ class LeafSolver:
             rank[~self._leafy] = -1.0
             chosen = np.unique(np.where(rank[one] >= rank[two], one, two))
         units = {}
-        for organ in chosen[self._leafy[chosen]].tolist():
+        # No rotation frees an organ that crosses very many others.
+        crowded = np.bincount(self._pairs.ravel(), minlength=len(self._organs)) > CROWDED
+        for organ in chosen[(self._leafy & ~crowded)[chosen]].tolist():
             # Units that bear fruit stay.
             group = self._leafy_units_of(organ)
             if group:

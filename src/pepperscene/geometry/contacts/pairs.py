@@ -20,6 +20,10 @@ from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 CLEARANCE: Final = 0.8e-3
 """Metres between a moved organ and others, chosen: more than is missed between points, and invisible."""
 
+CROWDED: Final = 32
+"""Chosen: with more contacts, no rotation frees an organ, and trying all of them takes minutes. In rows of the
+shipped cultivars a fruit has at most 17, and a leaf crosses at most 9 others."""
+
 # Chosen: a contact costs as much as a rotation that no unit can make, so that no avoidable contact remains;
 # contact with what can give way costs a moderate rotation, and each millimetre of depth a little more.
 _HARD: Final = 200.0

@@ -26,7 +26,7 @@ from pepperscene.geometry.contacts.joints import (
 )
 from pepperscene.geometry.contacts.leaves import PASSES, LeafSolver
 from pepperscene.geometry.contacts.organs import FRUIT, boxes_overlap
-from pepperscene.geometry.contacts.pairs import CLEARANCE, PairRules
+from pepperscene.geometry.contacts.pairs import CLEARANCE, CROWDED, PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh
 
 _TOUCHING: Final = -0.75 * CLEARANCE  # m, chosen: organs closer than this may touch between the sample points
@@ -101,9 +101,15 @@ class ContactSolver:
         return organs
 
     def _find_contacts(self) -> IndexArray:
-        """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through."""
+        """`(c, 2)` fruit and the organs that touch them, blades and the stems that they run through.
+
+        Those of crowded fruit are left out.
+        """
         pairs = self.detector.fruit_pairs(), self.detector.blade_pairs()
-        return np.concatenate([group.deeper_than(_TOUCHING) for group in pairs])
+        contacts = np.concatenate([group.deeper_than(_TOUCHING) for group in pairs])
+        number = np.bincount(contacts.ravel(), minlength=len(self.organs))
+        crowded = (number > CROWDED) & (self.organs.organ_class == FRUIT)
+        return contacts[~crowded[contacts].any(axis=1)]
 
     def _resolve_some(self, contacts: IndexArray, current_round: _Round) -> IndexArray:
         """Move a unit on either side of each contact: the first for which a small rotation is enough, or the
