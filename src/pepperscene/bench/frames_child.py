@@ -63,9 +63,10 @@ def time_calls(times: Times, stage: str, function: Callable[..., Any]) -> Callab
 
 def time_plants(times: Times) -> None:
     """Time the functions that make a plant; `resolve_contacts` of single plants only."""
-    from pepperscene import geometry, grammar, scene
+    from pepperscene import geometry, scene
+    from pepperscene.dataset.scenes import plants
 
-    grammar.grow = time_calls(times, "grow", grammar.grow)
+    plants.grow_in_memory = time_calls(times, "grow", plants.grow_in_memory)
     geometry.mesh_plant = time_calls(times, "mesh", geometry.mesh_plant)
     scene.add_twine = time_calls(times, "twine", scene.add_twine)
     resolve = geometry.resolve_contacts

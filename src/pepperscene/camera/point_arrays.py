@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def as_points(values: ArrayLike, name: str = "points") -> Array:
-    """`(n, 3)` points from `(n, 3)`, one `(3,)` or an empty list.
+    """`(n, 3)` points from `(..., 3)`, one `(3,)` or an empty list.
 
     Raises:
         ArgumentError: `name` has another shape, or is not made of numbers.
@@ -22,7 +22,7 @@ def as_points(values: ArrayLike, name: str = "points") -> Array:
     array = _numbers(values, name, "(n, 3)")
     if array.shape == (0,):
         return array.reshape(0, 3)
-    if array.ndim not in (1, 2) or array.shape[-1] != 3:
+    if not array.ndim or array.shape[-1] != 3:
         raise ArgumentError(name, f"must have the shape (n, 3), not {array.shape}")
     return array.reshape(-1, 3)
 

@@ -21,7 +21,7 @@ CLEARANCE: Final = 0.8e-3
 """Metres between a moved organ and others, chosen: more than is missed between points, and invisible."""
 
 CROWDED: Final = 32
-"""Chosen: with more contacts, no rotation frees an organ, and trying all of them takes minutes. In rows of the
+"""Chosen: with more contacts, no rotation frees an organ, and trying all of them takes minutes. In rows of
 shipped cultivars a fruit has at most 17, and a leaf crosses at most 9 others."""
 
 # Chosen: a contact costs as much as a rotation that no unit can make, so that no avoidable contact remains;
