@@ -123,7 +123,7 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
         NODE, {"mean_mm": 16, "sd_mm": 2, "low_mm": 15, "high_mm": 17, "chosen": "x"}, "no normal"
     ),
     "negative lengths": (NODE, {"mean_mm": 16, "sd_mm": 20, "chosen": "x"}, "needs low_mm"),
-    "a size of 0": (NODE, {"mean_mm": 9, "sd_mm": 3, "low_mm": 0, "chosen": "x"}, "above 0"),
+    "a size of 0": (NODE, {"mean_mm": 9, "sd_mm": 3, "low_mm": 0, "chosen": "x"}, "from 1e-06 to 3"),
     "a state beyond 1": ("organs.node.state", {"uniform": [0.5, 1.2], "chosen": "x"}, "from 0 to 1"),
     "text for a number": (NODE, {"value_mm": "16", "chosen": "x"}, "finite number"),
     "infinite": (NODE, {"value_mm": math.inf, "chosen": "x"}, "finite number"),
