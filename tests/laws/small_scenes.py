@@ -36,7 +36,7 @@ def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
 
 @cache
 def plants_view(*, daylight: bool = False) -> tuple[Scene, Camera]:
-    """Two plants of the demo with a fast lens: the middle of a frame, by flash or by bright daylight alone."""
+    """Two plants of the demo with a fast lens: half-way up, by flash or by bright daylight alone."""
     recipe = load_recipe("demo", {"camera.lens": "lensagon_cmfa0420nd"})
     changes: dict[str, object] = {"row": recipe.row.model_copy(update={"plants_front": 1, "plants_back": 1})}
     if daylight:
