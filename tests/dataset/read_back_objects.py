@@ -72,8 +72,10 @@ def _compare_fruit(figures, annotation, fruit, camera, place):
     found, expected = np.array(annotation["keypoints"], float).reshape(3, 3), expected_points(fruit)
     assert (found[:, 2] == expected[:, 2]).all(), f"{place}: a keypoint's visibility differs"
     known = expected[:, 2] > 0
-    # The centre of the first pixel is at 0 in COCO, at 0.5 in the data set.
-    figures.add_points(found[known, :2] + 0.5, expected[known, :2], place)
+    # The centre of the first pixel is at 0 in COCO, at 0.5 in the data set; COCO has no points before it.
+    size = np.array([camera["width"], camera["height"]])
+    inside = np.clip(expected[known, :2], 0.5, size - 0.5)
+    figures.add_points(found[known, :2] + 0.5, inside, place)
     amodal = coder.decode(annotation["attributes"]["amodal"]["segmentation"]) > 0
     figures.add_mask(amodal, decode_rle(fruit["amodal"]), place)
     if known[1]:

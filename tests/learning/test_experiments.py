@@ -178,7 +178,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(finished, tmp_path, monke
     [
         ("settings.json: is of other experiments: options.fine_steps is 2 there and 3", ("--fine-steps", 3)),
         ("--seeds: must be 1 or more", ("--seeds", 0)),
-        ("--crop: must be two numbers of pixels, 32 or more", ("--crop", "8x8")),
+        ("--crop: must be two numbers of pixels, 32 to 8192", ("--crop", "8x8")),
         ("--size: must be width and height", ("--size", "big")),
         ("--fine-rate: must be above 0", ("--fine-rate", -1)),
         ("--classes: 'nose' is none of", ("--classes", "nose,leaf")),

@@ -17,6 +17,8 @@ from pepperscene.learning.class_table import ClassTable
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 pytest.importorskip("safetensors", reason="the extra `learn` installs safetensors")
 
+from safetensors.torch import save_file  # noqa: E402
+
 from pepperscene.learning.evaluation.segmenter import predict_classes  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, large_images, load_model  # noqa: E402
 from pepperscene.learning.models.trained_model import weights_as_bytes  # noqa: E402
@@ -43,7 +45,9 @@ def write_model(trained, tmp_path):
     def write(**changes):
         description = {**trained.description(), **changes}
         content = {key: value for key, value in description.items() if value is not ...}
-        (tmp_path / "model.safetensors").write_bytes(weights_as_bytes(trained.module.state_dict(), content))
+        # Another program may write what JSON does not know.
+        text = {"description": json.dumps(content)}
+        save_file(trained.module.state_dict(), tmp_path / "model.safetensors", text)
         return tmp_path
 
     return write

@@ -196,9 +196,7 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
 
     try:
         with safe_open(check_file(file, "weights"), framework="pt") as content:
-            text = (content.metadata() or {}).get("description", "{}")
-            # Not a number is an unknown one.
-            description = json.loads(text, parse_constant=lambda _: None)
+            description = json.loads((content.metadata() or {}).get("description", "{}"))
             tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError, RecursionError) as error:
         raise InputError(file, f"cannot be read as safetensors ({' '.join(str(error).split())})") from None
