@@ -236,8 +236,9 @@ def cases():
         table = (("x.csv", kind),)
         yield Case(("plan", "@/x.toml", "--no-probe"), special=(("x.toml", kind),))
         yield Case(("visibility", "demo", "--out", "@/v.parquet", "--poses", "@/x.csv"), special=table)
-        yield Case(("tune", "demo", "--patches", "@/x.csv", *out), special=table)
-        yield Case(("tune", "demo", "--bounds", "@/x.toml", *out), special=(("x.toml", kind),))
+        yield Case(("tune", "demo", "--fit", "exposure", "--patches", "@/x.csv", *out), special=table)
+        bounds = ("tune", "demo", "--fit", "exposure", "--patches", "@/x.csv", "--bounds", "@/x.toml", *out)
+        yield Case(bounds, special=(("x.toml", kind),))
         yield Case(("compare", "@/x.csv", "photo.png"), special=table)
     for name, kind in itertools.product(SET_FILES, ("/dev/zero", "fifo", "sparse", "outside", "folder")):
         yield Case(("check", "@/set"), special=((f"set/{name}", kind),), copy_set=True)
@@ -251,7 +252,7 @@ def cases():
         yield Case(tuple(words.split()))
 
 
-GOOD = ("doctor", "recipes", "cultivars", "plan demo --no-probe", "check set")
+GOOD = ("doctor", "recipes", "cultivars", "plan demo --no-probe")
 MEASURE = """
 import json, resource, subprocess, sys
 code = subprocess.run(sys.argv[2:]).returncode

@@ -61,7 +61,7 @@ def fruit_with_truth(frame):
 
 def frames_of(recipe, changes, indices, outputs=LABELS):
     recipe = ps.load_recipe(recipe, changes)
-    renderer = FrameRenderer(recipe)
+    renderer = FrameRenderer(recipe, allow_code=True)
     return renderer, [renderer.render(recipe.plan.frame(index), outputs) for index in indices]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -192,10 +193,13 @@ def _read_file(
     if output not in OUTPUTS:
         yield "contradiction", f"names the unknown output {short_repr(output)}"
         return
-    path = dataset.folder / file_name(index, output)
+    path, expected = dataset.folder / file_name(index, output), entry if isinstance(entry, dict) else {}
     try:
         with open_file(path, OUTPUTS[output].file_kind, within=dataset.folder) as file:
-            digests[output], size = hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
+            size = os.fstat(file.fileno()).st_size
+            # A file of another length is not what was written, and may be very long.
+            if expected.get("bytes") == size:
+                digests[output] = hashlib.file_digest(file, "sha256").hexdigest()
     except MissingFileError:
         yield "missing", "does not exist"
         return
@@ -205,7 +209,6 @@ def _read_file(
     except OSError as error:
         yield "unreadable", f"cannot be read ({error.strerror})"
         return
-    expected = entry if isinstance(entry, dict) else {}
     if expected.get("file") != file_name(index, output):
         yield "contradiction", f"is named {short_repr(expected.get('file'))} in the frame's JSON"
     if expected.get("bytes") != size:
