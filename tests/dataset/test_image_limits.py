@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from pepperscene.dataset import open_images
-from pepperscene.dataset.readers import coco, folder, pictures
+from pepperscene.dataset.readers import coco, pictures
 from pepperscene.errors import InputError
 
 
@@ -85,7 +85,7 @@ def test_a_mask_of_another_size_is_refused_before_it_is_decoded(tmp_path, monkey
     (tmp_path / "masks").mkdir()
     Image.new("RGB", (40, 30), (9, 9, 9)).save(tmp_path / "images" / "a.png")
     write_png(tmp_path / "masks" / "a.png", 5000, 5000, 0)
-    monkeypatch.setattr(folder, "read_mask", lambda _: pytest.fail("the mask was decoded"))
+    monkeypatch.setattr(pictures, "read_mask", lambda _: pytest.fail("the mask was decoded"))
     images = open_images(tmp_path, labels={"0": "background"}).select("classes")
     with pytest.raises(InputError, match=r"5000x5000 pixels, but its image a.png has 40x30"):
         images[0]

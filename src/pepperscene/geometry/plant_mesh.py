@@ -29,6 +29,7 @@ from pepperscene.geometry.fruit.scan import (
     scan_shoulders,
 )
 from pepperscene.geometry.mesh import PIGMENTS, FloatArray, IndexArray, Mesh, SingleArray
+from pepperscene.geometry.triangle_counts import check_detail
 from pepperscene.geometry.tubes.flower import mesh_flowers
 from pepperscene.geometry.tubes.stalk import mesh_cuts, mesh_peduncles, mesh_stalks
 from pepperscene.geometry.tubes.stem import mesh_internodes, mesh_nodes
@@ -62,8 +63,7 @@ def mesh_plant(plant: Plant, detail: float = 1.0) -> Mesh:
             not among the plant's.
         InputError: the file of a scanned fruit is missing or not one closed body.
     """
-    if not detail > 0.0 or not np.isfinite(detail):
-        raise ValueError(f"detail must be above zero, not {detail}")
+    check_detail(detail)
     if not plant.organs:
         raise ValueError("a plant without organs has no mesh")
     unknown = {organ.kind for organ in plant.organs} - set(plant.kinds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -24,13 +25,23 @@ _CALYX: Final = 1092  # of a calyx with long teeth, at detail 1; one with short 
 _CLOSED_HOLES: Final = 1.1  # chosen: triangles of a scan with closed holes, over those without
 
 
+def check_detail(detail: float) -> None:
+    """Raise `ValueError` if the fineness of a mesh is not above zero and finite."""
+    if not 0.0 < detail < math.inf:
+        raise ValueError(f"detail must be above zero and finite, not {detail}")
+
+
 def most_triangles(plant: PlantParameters, detail: float = 1.0) -> int:
     """An upper bound of the triangles of `mesh_plant`, without scans at most 1.3 times their number.
 
     Args:
         plant: parameters of all organs.
         detail: fineness of the mesh; below 1 the bound is that at detail 1, except for blades.
+
+    Raises:
+        ValueError: `detail` is not above zero and finite.
     """
+    check_detail(detail)
     scale = max(detail, 1.0) ** 2
     kinds = [kind for kind in plant.organs.values() if len(kind)]
     blades = [kind for kind in kinds if kind.kind.form == "blade"]

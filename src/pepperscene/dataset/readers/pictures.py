@@ -270,7 +270,7 @@ def _check_plausible(path: Path, size: tuple[int, int]) -> None:
 
 
 def _too_large(path: Path, found: str) -> InputError:
-    allowed = f"at most {MOST_PIXELS // 10**6} million are read: scale it down, or cut it into parts"
+    allowed = f"at most {MOST_PIXELS // 10**6} million are read; scale it down, or cut it into parts"
     return InputError(path, f"has {found}; {allowed}")
 
 
@@ -291,7 +291,7 @@ def _open_image(path: Path) -> Iterator[Any]:
                     raise _too_large(path, f"{width} x {height} pixels")
                 yield image
     except Image.DecompressionBombError:
-        raise _too_large(path, "more pixels") from None
+        raise _too_large(path, f"more than {MOST_PIXELS // 10**6} million pixels") from None
     except Image.UnidentifiedImageError:
         problem = f"cannot be read as an image (cannot identify image file {str(path)!r})"
         raise InputError(path, problem) from None
