@@ -20,7 +20,7 @@ from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 CLEARANCE: Final = 0.8e-3
 """Metres between a moved organ and others, chosen: more than is missed between points, and invisible."""
 
-CROWDED: Final = 32
+CROWDED: Final = 24
 """Chosen: with more contacts, no rotation frees an organ, and trying all of them takes minutes. In rows of
 shipped cultivars a fruit has at most 17, and a leaf crosses at most 9 others."""
 
