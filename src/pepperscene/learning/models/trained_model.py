@@ -142,8 +142,6 @@ def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool
         recorded = without_initial_weights(description["model"])
     except ArgumentError as error:
         raise InputError(file, error.problem, key=error.where) from None
-    except (KeyError, TypeError, AttributeError):
-        raise InputError(file, "lacks the description of its model") from None
     if not is_built_in(recorded) and factory is None:
         raise _unknown_model(file, recorded)
     model = recorded if is_built_in(recorded) or factory is None else factory
