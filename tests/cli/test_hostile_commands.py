@@ -168,7 +168,7 @@ def text_files():
     yield "b.toml", "x = " + "9" * 1_000_000, 'extends = "{}"\n'
     yield "c.toml", "".join(f"k{n} = {n}\n" for n in range(300_000)), 'extends = "{}"\n'
     yield "d.toml", 'extends = "d.toml"\n', 'extends = "{}"\n'
-    many = ", ".join(map(str, range(1, 100_001)))
+    many = ", ".join(map(str, range(-1, 100_001)))
     yield (
         "e.toml",
         f'extends = "demo"\n[daylight]\nilluminance_lx = {{ in_turn = [{many}] }}\n',
