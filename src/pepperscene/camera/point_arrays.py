@@ -42,7 +42,7 @@ def as_poses(values: ArrayLike, name: str = "poses") -> Array:
 
 
 def as_positions(values: ArrayLike, name: str = "points") -> Array:
-    """`(n, 3)` positions from points as of `as_points`, or from the poses of cameras as of `as_poses`.
+    """`(n, 3)` positions: points as `as_points` takes them, or those of poses, as `as_poses` takes them.
 
     Raises:
         ArgumentError: `name` has neither shape, or is not made of numbers.

@@ -278,8 +278,8 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
     created: list[Path] = []
     try:
         _check_out(out, source)
-        beside = temporary_path(out.absolute().with_name(out.resolve().name))
-        temporary = out / beside.name if out.is_dir() else beside
+        sibling = temporary_path(out.absolute().with_name(out.resolve().name))
+        temporary = out / sibling.name if out.is_dir() else sibling
         try:
             make_folder(temporary.parent, created)
             remove_temporary_files(temporary.parent, f"{out.resolve().name}.")

@@ -165,7 +165,7 @@ def read_mask_of(photo: Path, path: Path, exif: Exif | None = None) -> MaskImage
     Args:
         photo: the photograph.
         path: the mask.
-        exif: as of `mark_orientation`.
+        exif: see `mark_orientation`.
 
     Raises:
         InputError: as `read_mask` and `mark_orientation`.

@@ -163,7 +163,7 @@ class CameraViews:
     def near_views(
         self, specs: Iterable[FrameSpec], scene: Scene | None = None, visible: PointTest | None = None
     ) -> NearViews:
-        """What all cameras of some frames show from near, partners included; arguments as of `camera`."""
+        """What all cameras of some frames show from near, partners included; arguments: see `camera`."""
         from pepperscene.dataset.views.near_plants import near_views
 
         views = [(spec, self._view(spec, self._setups.at(spec), scene, visible)) for spec in specs]

@@ -65,7 +65,7 @@ def _sheet_faces(uv: FloatArray, resolution: Resolution) -> IndexArray:
     try:
         faces = rows[Delaunay(place[rows]).simplices]
     except QhullError:
-        # All on a line, as of a blade that is a thread: one flat triangle.
+        # All on a line, because the blade is as thin as a thread: one flat triangle.
         return np.asarray(rows[[[0, len(rows) // 2, len(rows) - 1]]], dtype=np.intp)
     a, b, c = (place[faces[:, corner]] for corner in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])

@@ -17,7 +17,7 @@ from pepperscene.learning.models.trained_model import apply_model
 
 MOST_WHOLE: Final = 12_500_000
 """Chosen: pixels of an image that is computed as a whole; a photograph of 4096 x 3048 pixels."""
-_MOST_SCALED: Final = 120_000_000  # chosen: pixels of a scaled image, as of those that are read
+_MOST_SCALED: Final = 120_000_000  # chosen: pixels of a scaled image, as many as are read
 TILE: Final = 2048  # chosen: side of the part of a tile that is used, whole multiples of all strides
 OVERLAP: Final = 640
 """Chosen: pixels around it that the network sees too, beyond the reach of the networks of this package."""
