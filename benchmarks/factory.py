@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pepperscene as ps
 from pepperscene.bench.records import describe_machine, machine_info
-from pepperscene.dataset import BuildProgress
+from pepperscene.building.execution.build import BuildProgress
 
 TRUTH = ("class", "instance", "distance", "distance_code")
 

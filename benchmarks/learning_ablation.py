@@ -29,11 +29,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.atomic import write_file
+from pepperscene.building.execution.build import build
+from pepperscene.building.execution.job import BuildOptions
+from pepperscene.building.scenes.frame_renderer import SceneRenderer, mitsuba_renderer
 from pepperscene.cli.progress import echo_progress
-from pepperscene.dataset import BuildOptions, ImageSet, build, open_images, parse_changes, resolve_recipe
-from pepperscene.dataset.report.data import evenly_spaced
-from pepperscene.dataset.scenes.frame_renderer import SceneRenderer, mitsuba_renderer
-from pepperscene.dataset.store.atomic import write_file
+from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import PepperError
 from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 from pepperscene.learning.experiments.results import ExperimentResult, collect_result, compare_results
@@ -42,6 +44,8 @@ from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
 from pepperscene.learning.experiments.sets import OUTPUTS, spread_frames
 from pepperscene.learning.training_options import TrainingOptions
 from pepperscene.materials import Surface
+from pepperscene.recipe.load import parse_changes, resolve_recipe
+from pepperscene.review.report.data import evenly_spaced
 from pepperscene.scene import Scene
 
 FULL: Final = "full"

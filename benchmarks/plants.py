@@ -40,7 +40,7 @@ def time_single_plants(cultivar: str, runs: int, detail: float) -> dict[str, lis
 def time_rows(recipe_name: str, runs: int) -> dict[str, list[float]]:
     """Seconds to make and place the plants of a recipe's row, by stage, and to place them a second time."""
     import pepperscene as ps
-    from pepperscene.dataset.scenes.scene_builder import SceneBuilder
+    from pepperscene.building.scenes.scene_builder import SceneBuilder
 
     all_times = []
     stage_times: Times = {}

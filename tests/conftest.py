@@ -11,6 +11,8 @@ import pytest
 
 from pepperscene.cultivar import Cultivar, load_cultivar
 
+pytest_plugins = ["dataset_fixtures"]
+
 TESTS = Path(__file__).parent
 UNIT = {
     "camera", "colour", "cultivar", "document", "geometry", "grammar", "materials", "scene", "spectra",

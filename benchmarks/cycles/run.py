@@ -37,8 +37,8 @@ from pepperscene.bench.report import (
     time_ratios,
 )
 from pepperscene.bench.scenes import SCENES, BenchScene, parse_size, resize_camera, select_scenes
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera
-from pepperscene.dataset import FrameRenderer
 from pepperscene.errors import ArgumentError, InputError, PepperError
 
 CYCLES_SCENES = [name for name in SCENES if name != "nir"]

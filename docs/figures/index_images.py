@@ -37,8 +37,8 @@ import pepperscene as ps
 from pepperscene.camera import spline_trajectory
 from pepperscene.colour.comparison import similarity
 from pepperscene.colour.statistics import bin_angles
-from pepperscene.dataset.report.colours import distance_colours, instance_colours
-from pepperscene.dataset.scenes.portrait import portrait
+from pepperscene.review.report.colours import distance_colours, instance_colours
+from pepperscene.building.scenes.portrait import portrait
 from pepperscene.render.quality import Quality
 from pepperscene.tuning import TuningTarget, fit_parameters, write_tuned
 

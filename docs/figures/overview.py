@@ -37,7 +37,7 @@ from pepperscene import (
     render_scene,
 )
 from pepperscene.camera import Developing
-from pepperscene.dataset.report.colours import distance_colours
+from pepperscene.review.report.colours import distance_colours
 
 IMAGES: Final = Path(__file__).parents[1] / "images"
 NM: Final = np.arange(360.0, 831.0, 5.0)

@@ -31,7 +31,7 @@ from pepperscene import (
     look_at,
 )
 from pepperscene.camera import Developing
-from pepperscene.dataset.scenes.portrait import portrait
+from pepperscene.building.scenes.portrait import portrait
 
 PHOTOS: Final = Path(__file__).parents[1] / "photos"
 SIZE: Final = (613, 346)

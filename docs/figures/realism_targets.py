@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pepperscene as ps
-from pepperscene.camera.colorimetry import (
+from pepperscene.camera.image.colorimetry import (
     D65_WHITE,
     SRGB_TO_XYZ,
     adapted_xyz,
@@ -23,7 +23,7 @@ from pepperscene.camera.colorimetry import (
     d65_spectrum,
     xyz_to_lab,
 )
-from pepperscene.camera.colour_correction import colour_correction
+from pepperscene.camera.image.colour_correction import colour_correction
 from pepperscene.colour.appearance import lab_hue_deg
 from pepperscene.colour.statistics import delta_e_2000
 from pepperscene.materials.gloss import cone_gloss
@@ -33,7 +33,7 @@ from pepperscene.spectra import Spectrum, leaf_spectra, read_spectra
 Floats = NDArray[np.float64]
 
 NM: Final = np.arange(300.0, 1101.0)
-"""The grid of `pepperscene.camera.colorimetry`."""
+"""The grid of `pepperscene.camera.image.colorimetry`."""
 CULTIVAR: Final = "kaite"
 SENSOR: Final = "ueye_ui5250re"
 FLASH: Final = "led_matrix_200klx"

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from overview import IMAGES
 
 import pepperscene as ps
-from pepperscene.dataset.recipe.plan import frame_seed
+from pepperscene.recipe.plan import frame_seed
 
 ROW: Final = {"row.plants_front": 5, "row.plants_back": 4, "camera.width": 480, "camera.height": 360}
 PLANT: Final = 2  # in the middle of the front row

@@ -7,9 +7,10 @@ from noisy_renderer import NoisyRenderer
 
 from pepperscene.bench import measure, scenes
 from pepperscene.bench.scenes import BenchSubject, resize_camera
-from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.geometry import rectangle
 from pepperscene.materials import lambertian_surface
+from pepperscene.recipe.load import load_recipe
 from pepperscene.scene import assemble_scene
 
 

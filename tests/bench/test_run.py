@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 from pepperscene.bench import SCENES, parse_size, run, run_benchmark, select_scenes
 from pepperscene.bench.scenes import resize_camera
 from pepperscene.bench.settings import ADAPTIVE, NAMED, settings
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import develop, expected_electrons
 from pepperscene.cli import app
 from pepperscene.cli.machine import bench
-from pepperscene.dataset import FrameRenderer
 from pepperscene.errors import InputError
 
 FILES = {"results.json", "results.csv", "results.md", "pareto.png", "pareto.svg"}

@@ -7,7 +7,7 @@ import pytest
 import tomli_w
 
 from pepperscene.camera import Band, load_sensor
-from pepperscene.camera.bands import band_curves, describe_bands
+from pepperscene.camera.sensor.bands import band_curves, describe_bands
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum
 

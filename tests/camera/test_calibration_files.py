@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from pepperscene.camera.calibration import CameraCalibration, pinhole_calibration, read_calibration
-from pepperscene.camera.distortion import MODELS
+from pepperscene.camera.optics.calibration import CameraCalibration, pinhole_calibration, read_calibration
+from pepperscene.camera.optics.distortion import MODELS
 from pepperscene.errors import InputError
 
 COEFFICIENTS = {

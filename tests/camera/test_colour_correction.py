@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import load_filter, load_flash, load_sensor
-from pepperscene.camera.colorimetry import (
+from pepperscene.camera.image.colorimetry import (
     D65_WHITE,
     SRGB_TO_XYZ,
     XYZ_TO_SRGB,
@@ -22,7 +22,7 @@ from pepperscene.camera.colorimetry import (
     srgb_encode,
     xyz_to_lab,
 )
-from pepperscene.camera.colour_correction import colour_correction, white_balance_gains
+from pepperscene.camera.image.colour_correction import colour_correction, white_balance_gains
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, photopic_efficiency, read_spectra
 
@@ -138,8 +138,8 @@ def test_illuminance_and_correction_do_not_import_colour_science():
     code = (
         "import sys; from pepperscene.camera import load_sensor\n"
         "from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum())\n"
-        "from pepperscene.camera.colorimetry import d65_spectrum\n"
-        "from pepperscene.camera.colour_correction import colour_correction\n"
+        "from pepperscene.camera.image.colorimetry import d65_spectrum\n"
+        "from pepperscene.camera.image.colour_correction import colour_correction\n"
         "correction = colour_correction(load_sensor('ueye_ui5250re'), d65_spectrum())\n"
         "assert 'colour' not in sys.modules\n"
         "assert 0 < correction.mean_delta_e_2000 < 10 and 'colour' in sys.modules\n"

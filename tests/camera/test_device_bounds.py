@@ -31,9 +31,9 @@ from pepperscene.camera import (
     load_sensor,
     relative_illumination,
 )
-from pepperscene.camera.flash import FlashDocument
-from pepperscene.camera.lens import LensDocument
-from pepperscene.camera.sensor_files import FilterDocument, SensorDocument
+from pepperscene.camera.optics.flash import FlashDocument
+from pepperscene.camera.optics.lens import LensDocument
+from pepperscene.camera.sensor.sensor_files import FilterDocument, SensorDocument
 from pepperscene.errors import InputError
 from pepperscene.scene import load_cover
 from pepperscene.scene.cover import CoverDocument

@@ -20,10 +20,10 @@ from pepperscene.camera import (
     load_projector,
     load_sensor,
 )
-from pepperscene.camera.flash import FlashDocument
-from pepperscene.camera.lens import LensDocument
-from pepperscene.camera.projector import ProjectorDocument
-from pepperscene.camera.sensor_files import FilterDocument, SensorDocument
+from pepperscene.camera.optics.flash import FlashDocument
+from pepperscene.camera.optics.lens import LensDocument
+from pepperscene.camera.optics.projector import ProjectorDocument
+from pepperscene.camera.sensor.sensor_files import FilterDocument, SensorDocument
 from pepperscene.scene.cover import Cover, CoverDocument, load_cover
 from pepperscene.shipped import shipped_folder
 

@@ -26,7 +26,7 @@ from camera_colours import (
 )
 
 from pepperscene.camera import Camera, Developing, develop, load_flash, load_lens, load_sensor
-from pepperscene.camera.colour_correction import colour_correction
+from pepperscene.camera.image.colour_correction import colour_correction
 from pepperscene.spectra import read_spectra
 
 LEAVES = leaf_reflectances()

@@ -18,8 +18,8 @@ from pepperscene.camera import (
     look_at,
     relative_illumination,
 )
-from pepperscene.camera.calibration import CameraCalibration
-from pepperscene.camera.distortion import MODELS, make_distortion
+from pepperscene.camera.optics.calibration import CameraCalibration
+from pepperscene.camera.optics.distortion import MODELS, make_distortion
 from pepperscene.errors import InputError
 
 # Typical calibrations: a machine-vision lens, a depth camera's factory calibration and a fisheye lens.

@@ -23,8 +23,8 @@ from pepperscene.camera import (
     read_poses,
     write_poses,
 )
-from pepperscene.camera.calibration import CameraCalibration
-from pepperscene.camera.paths import trajectory_from_poses
+from pepperscene.camera.optics.calibration import CameraCalibration
+from pepperscene.camera.poses.paths import trajectory_from_poses
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 FORMATS = {"tum": "poses.txt", "csv": "poses.csv", "nerfstudio": "transforms.json", "colmap": "model"}

@@ -24,7 +24,7 @@ from pepperscene.camera import (
     raw_frame,
     reference_correction,
 )
-from pepperscene.camera.readout import bin_photosites, demosaic_image, spread_to_photosites
+from pepperscene.camera.sensor.readout import bin_photosites, demosaic_image, spread_to_photosites
 from pepperscene.spectra import Spectrum
 
 with warnings.catch_warnings():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import Camera, Developing, camera_rgb, load_flash, load_lens, load_sensor, raw_frame
-from pepperscene.camera.area_average import AreaAverage
-from pepperscene.camera.readout import average_areas, demosaic_image, spread_to_photosites
+from pepperscene.camera.sensor.area_average import AreaAverage
+from pepperscene.camera.sensor.readout import average_areas, demosaic_image, spread_to_photosites
 
 BAYER, MONO = load_sensor("onsemi_mt9v024_full"), load_sensor("onsemi_mt9v024_mono")
 LENS, FLASH = load_lens("nikkor_18_55mm_at_18mm"), load_flash("led_matrix_200klx")

@@ -8,8 +8,8 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
+from pepperscene.building.scenes import frame_renderer
 from pepperscene.cli import app
-from pepperscene.dataset.scenes import frame_renderer
 from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.frame import OUTPUTS, Frame
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from pepperscene.building.execution.build import BuildProgress
 from pepperscene.cli.progress import BarReporter, JsonReporter, LineReporter, progress_reporter
-from pepperscene.dataset import BuildProgress
 
 SMALL = (
     "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2", "--set",
@@ -77,9 +77,9 @@ def test_terminal_shows_a_bar_with_the_latest_picture(monkeypatch, capsys):
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGTERM")
 def test_sigterm_interrupts_a_build(tmp_path):
-    stand_in = Path(__file__).resolve().parents[1] / "dataset"
+    stand_in = Path(__file__).resolve().parents[1] / "support"
     script = (
-        "import pepperscene.dataset.scenes.frame_renderer as frame_renderer, stand_in\n"
+        "import pepperscene.building.scenes.frame_renderer as frame_renderer, stand_in\n"
         "frame_renderer.mitsuba_renderer = stand_in.StandIn\n"
         "from pepperscene.cli import main; main()\n"
     )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pepperscene.cli import app
-from pepperscene.dataset import write_image
+from pepperscene.dataset.store.images import write_image
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 
 import pepperscene
 from pepperscene.bench.measure import measure_variant
-from pepperscene.dataset import viewer
+from pepperscene.cli import viewer
 from pepperscene.errors import SetupError
 from pepperscene.render import doctor
 from pepperscene.render.variant import llvm_version, mitsuba_modules

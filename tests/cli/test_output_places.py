@@ -7,8 +7,8 @@ import os
 
 import pytest
 
+from pepperscene.atomic import check_can_create, check_can_write
 from pepperscene.cli import building
-from pepperscene.dataset.store.atomic import check_can_create, check_can_write
 from pepperscene.errors import EXIT_BAD_INPUT, OutputError
 
 

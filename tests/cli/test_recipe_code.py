@@ -8,9 +8,13 @@ import pickle
 import numpy as np
 import pytest
 
-from pepperscene.dataset import BuildOptions, FrameRenderer, build, open_dataset, render_frame, resolve_recipe
-from pepperscene.dataset.execution.job import BuildJob
+from pepperscene.building.execution.build import build
+from pepperscene.building.execution.job import BuildJob, BuildOptions
+from pepperscene.building.execution.single_frame import render_frame
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError
+from pepperscene.recipe.load import resolve_recipe
 
 SENTENCE = "runs only with --allow-code (in Python, allow_code=True)"
 RECIPE = """

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from command_process import FAST_ENTRY, ONE_PLANT, SOURCES, Command, messages
 
-from pepperscene.dataset import check_dataset, open_dataset
+from pepperscene.dataset.store.dataset import open_dataset
+from pepperscene.review.check import check_dataset
 
 pytestmark = [
     pytest.mark.slow,

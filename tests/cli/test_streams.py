@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from command_process import FAST_ENTRY, ONE_PLANT, SEPARATOR, TOGETHER, Command
 
-from pepperscene.dataset import open_dataset
+from pepperscene.dataset.store.dataset import open_dataset
 
 pytestmark = [
     pytest.mark.slow,

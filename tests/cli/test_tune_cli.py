@@ -9,8 +9,8 @@ import tomllib
 
 import pytest
 
-from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolved import load_recipe_cultivar
 from pepperscene.shipped import shipped_folder
 
 MEASURED = {

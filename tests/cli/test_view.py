@@ -7,11 +7,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "dataset"))
 from traced_set import make_traced_set
 
-from pepperscene.dataset import viewer
+from pepperscene.cli import viewer
 
 
 @pytest.fixture(scope="module")

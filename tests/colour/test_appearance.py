@@ -23,7 +23,7 @@ from pepperscene.colour.appearance import (
     spectrum_slope,
     structure_tensors,
 )
-from pepperscene.dataset import LabelledImage
+from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.errors import InputError
 
 

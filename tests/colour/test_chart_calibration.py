@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pepperscene.camera import encode_tone
-from pepperscene.camera.colorimetry import XYZ_TO_SRGB
+from pepperscene.camera.image.colorimetry import XYZ_TO_SRGB
 from pepperscene.colour import calibrate, delta_e_2000, linear_srgb_to_lab
 from pepperscene.colour.patches.chart import chart_linear, chart_names
 from pepperscene.colour.patches.chart_detection import apply_homography, grid_corners, homography

@@ -28,7 +28,8 @@ from pepperscene.colour import (
     open_patches,
 )
 from pepperscene.colour.comparison.measure import measure_set
-from pepperscene.dataset import VOID, open_images
+from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.spectra import Spectrum
 from pepperscene.truth import centre_side
 

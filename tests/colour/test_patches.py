@@ -16,7 +16,7 @@ from pepperscene.colour.patches.extraction import Extraction, erode
 from pepperscene.colour.patches.open import organ_regions
 from pepperscene.colour.patches.patch import even_indices, is_organ_kind, matches_kind
 from pepperscene.colour.statistics import hue_histogram, srgb_codes
-from pepperscene.dataset import LabelledImage
+from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.errors import InputError
 from pepperscene.truth.statistics import ImageStatistics
 

@@ -13,11 +13,11 @@ from painted_set import FLOOR, FRAMES, WIRE
 from PIL import Image
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export import export_dataset
 from pepperscene.dataset.readers import CocoSet, open_images
 from pepperscene.dataset.readers.coco_masks import decode_counts, decode_segmentation
 from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.errors import ArgumentError, InputError, SetupError
+from pepperscene.export import export_dataset
 from pepperscene.truth.encodings import encode_rle
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")

@@ -11,8 +11,8 @@ from data_sets import contents, set_without_plants
 from disc_set import DiscRenderer
 from pyarrow import ArrowException, parquet
 
-from pepperscene.dataset import check_dataset
 from pepperscene.errors import OutputError
+from pepperscene.review.check import check_dataset
 
 OUTPUTS = ("colour", "class", "instance", "distance")
 CHANGES = {"plan.rotations": 1, "plan.frames": 3, "camera.baseline_mm": 60.0}

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from pepperscene.colour import open_patches
-from pepperscene.dataset import open_images
+from pepperscene.dataset.readers import open_images
 from pepperscene.errors import InputError
 
 ORIENTATIONS = range(1, 9)

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from hostile_files import CONTENTS, SET_FILES, TARGETS
 
-from pepperscene.dataset import load_recipe
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError, PepperError
+from pepperscene.recipe.load import load_recipe
 
 NAMED = [f"{target.__name__} as " for target in TARGETS]
 DAMAGED = ["device", "pipe", "sparse", "outside"]
@@ -36,7 +36,7 @@ def outcomes(tmp_path_factory, small):
     """What came of each case, by its name, in a process that may use 300 MB."""
     folder = tmp_path_factory.mktemp("hostile")
     shutil.copytree(small.folder, folder / "set")
-    program = Path(__file__).with_name("hostile_files.py")
+    program = Path(__file__).parents[1] / "support" / "hostile_files.py"
     result = subprocess.run(
         [sys.executable, program], cwd=folder, capture_output=True, text=True, timeout=300
     )

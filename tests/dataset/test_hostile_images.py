@@ -29,7 +29,7 @@ EVENTS = ("subprocess.Popen", "os.posix_spawn", "os.fork", "os.exec", "os.system
 sys.addaudithook(lambda event, arguments: started.append(str(arguments)) if event in EVENTS else None)
 
 from pepperscene.colour import open_patches
-from pepperscene.dataset import open_images
+from pepperscene.dataset.readers import open_images
 from pepperscene.errors import PepperError
 from pepperscene.geometry.fruit.scan import load_scan
 

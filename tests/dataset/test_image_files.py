@@ -14,9 +14,8 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from pepperscene.classes import CLASS_COLOURS
-from pepperscene.dataset import read_image, write_image
 from pepperscene.dataset.store import images as encoding
-from pepperscene.dataset.store.images import encode_image, png_bytes
+from pepperscene.dataset.store.images import encode_image, png_bytes, read_image, write_image
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
 

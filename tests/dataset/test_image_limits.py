@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pepperscene.dataset import open_images
-from pepperscene.dataset.readers import coco, pictures
+from pepperscene.dataset.readers import coco, open_images, pictures
 from pepperscene.errors import InputError
 
 

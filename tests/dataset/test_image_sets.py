@@ -12,11 +12,11 @@ import pytest
 from data_sets import FRAMES
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export import Splits
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import FIELDS, VOID, ImageSet, LabelledImage
 from pepperscene.dataset.readers.torch_images import torch_images
 from pepperscene.errors import InputError, SetupError
+from pepperscene.export import Splits
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

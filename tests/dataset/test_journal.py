@@ -10,11 +10,11 @@ import shutil
 
 import pytest
 
-from pepperscene.dataset import check_dataset, open_dataset
 from pepperscene.dataset.store import journal as journal_module
-from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.errors import InputError, OutputError
+from pepperscene.review.check import check_dataset
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
 

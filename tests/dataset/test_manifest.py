@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import open_dataset
+from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST
 from pepperscene.errors import InputError, OutputError

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.dataset import open_dataset
+from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.frame import DEFAULT_OUTPUTS, Frame
 from pepperscene.grammar import grow
 from pepperscene.notebook_view import WIDTH_PX

@@ -18,11 +18,11 @@ from PIL import Image as Picture
 from processes import run_python
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import export_dataset
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip
 from pepperscene.dataset.readers.torch_images import collate_detections, torch_detections, torch_images
 from pepperscene.errors import InputError, SetupError
+from pepperscene.export import export_dataset
 
 torch = pytest.importorskip("torch", reason="torch is an extra, which is not installed")
 
@@ -464,7 +464,7 @@ print(json.dumps(sizes))
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not report memory sizes")
 def test_memory_does_not_grow_with_epochs(tmp_path):
     # With these thresholds, glibc gives freed arrays back at once, and memory does not grow by fragments.
-    folders = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); FOLDER = {str(tmp_path)!r}\n"
+    folders = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1] / 'support')!r}); FOLDER = {str(tmp_path)!r}\n"
     sizes = np.array(
         run_python(folders + RUN, MALLOC_MMAP_THRESHOLD_="65536", MALLOC_TRIM_THRESHOLD_="65536")
     )

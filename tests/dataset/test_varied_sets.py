@@ -11,17 +11,20 @@ from disc_set import rewrite_manifest, sign
 from stand_in import StandIn
 from varied_set import COLUMNS, FRAMES, RIG, TWINS, VARIED, make_varied_set
 
-from pepperscene.dataset import check_dataset, load_recipe, open_dataset, write_report
-from pepperscene.dataset.check.exposure import Exposures
-from pepperscene.dataset.check.variation import DrawnValues
-from pepperscene.dataset.recipe.frame_values import frame_values
-from pepperscene.dataset.recipe.plan import Plan
-from pepperscene.dataset.store.atomic import canonical_json
+from pepperscene.atomic import canonical_json
+from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.drawn_columns import drawn_columns
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST
-from pepperscene.dataset.variation.notation import parse_varied
-from pepperscene.dataset.variation.recorded import read_variation, recorded_draws
+from pepperscene.recipe.frame_values import frame_values
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.variation.notation import parse_varied
+from pepperscene.recipe.variation.recorded import read_variation, recorded_draws
+from pepperscene.review.check import check_dataset
+from pepperscene.review.check.exposure import Exposures
+from pepperscene.review.check.variation import DrawnValues
+from pepperscene.review.report import write_report
 
 TIMINGS = ("render_s", "write_s", "worker")
 

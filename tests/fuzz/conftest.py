@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
-
-_HELPERS = [str(Path(__file__).parents[1] / folder) for folder in ("dataset", "geometry")]
-sys.path[:0] = [folder for folder in _HELPERS if folder not in sys.path]
 
 
 @pytest.fixture(autouse=True)

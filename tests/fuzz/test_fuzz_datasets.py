@@ -9,10 +9,11 @@ from fuzzing import EDITS, EXAMPLES, attempt, attempt_file, mutated
 from hypothesis import strategies as st
 
 from pepperscene import open_images
-from pepperscene.dataset import check_dataset, export_dataset
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.images import read_image, write_image
 from pepperscene.dataset.store.journal import Journal
+from pepperscene.export import export_dataset
+from pepperscene.review.check import check_dataset
 
 OUTPUTS = ("colour", "class", "instance", "distance", "harvest")
 

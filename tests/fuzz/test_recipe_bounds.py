@@ -11,10 +11,10 @@ import pytest
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 
-from pepperscene.dataset.recipe.load import resolve_recipe
-from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
+from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.recipe import Recipe
 
 SPECIAL = (0, 0.0, -0.0, 1, -1, 1e-308, 1e308, -1e308, math.nan, math.inf, -math.inf, 2**62, 10**30)
 BASE = {

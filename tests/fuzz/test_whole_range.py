@@ -11,11 +11,11 @@ import whole_range
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.classes import IGNORE_CLASS, OrganClass
-from pepperscene.dataset.recipe.load import resolve_recipe
-from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
+from pepperscene.recipe.load import resolve_recipe
 
 OUTPUT_SETS = (
     ("colour", "class", "instance"),

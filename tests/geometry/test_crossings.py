@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from contact_meshes import grown
 
 from pepperscene.geometry import Mesh, resolve_contacts
 from pepperscene.geometry.contacts import leaves
@@ -19,7 +20,6 @@ from pepperscene.geometry.contacts.crossings import (
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import rotations, units_of
 from pepperscene.geometry.contacts.organs import LEAF, SHOOT, STALK, STEM, Organs
-from tests.geometry.contact_meshes import grown
 
 
 @pytest.fixture(scope="module")

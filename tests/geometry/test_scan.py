@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from organ_meshes import KINDS, check_mesh, merged, mesh_organs, shading_agreement
 
-from pepperscene.camera.colorimetry import srgb_encode
+from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.organs import OrganKind

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from pepperscene.camera.colorimetry import srgb_decode
+from pepperscene.camera.image.colorimetry import srgb_decode
 from pepperscene.geometry.fruit.scan import load_scan
 from pepperscene.geometry.fruit.scan_file import read_triangles
 

@@ -9,7 +9,7 @@ import pytest
 from colour_chart import NM, chart, difference, lab_of_rgb, observer_lab
 
 from pepperscene.camera import Camera, Developing, develop, load_flash, load_lens, load_sensor
-from pepperscene.camera.colorimetry import d65_spectrum
+from pepperscene.camera.image.colorimetry import d65_spectrum
 from pepperscene.shipped import shipped_folder
 
 PATCH = 16  # pixels; demosaicing mixes colours only at the borders of patches

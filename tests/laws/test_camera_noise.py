@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from pepperscene.camera import Camera, Developing, camera_rgb, load_flash, load_lens, load_sensor, raw_frame
-from pepperscene.camera.readout import shot_noise
+from pepperscene.camera.sensor.readout import shot_noise
 from pepperscene.shipped import shipped_folder
 
 SHIPPED = sorted(path.stem for path in (shipped_folder("materials") / "sensors").glob("*.toml"))

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import develop
-from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import Renderer
 
 FEW = {"row.plants_front": 2, "row.plants_back": 1, "cultivar": "kaite_february"}

@@ -10,8 +10,9 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from test_culling import with_larger_pixels
 from test_ground_truth import cast_rays, distorted_view_of_plants
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import arc_path
-from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 

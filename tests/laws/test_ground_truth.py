@@ -11,11 +11,12 @@ from bodies import EVEN_SKY, axis_camera, sheet, sphere
 from greenhouse import row_of_plants
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Distortion, arc_path, relative_illumination
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 

@@ -21,10 +21,11 @@ import trimesh
 from scipy.ndimage import binary_dilation, binary_erosion
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera, Distortion
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.geometry import Mesh
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.truth.encodings import decode_rle
 

@@ -19,9 +19,10 @@ import numpy as np
 import pytest
 from small_scenes import bright_day
 
-from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.check.edges import CHANCE, match_edges
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import render_scene
+from pepperscene.review.check.edges import CHANCE, match_edges
 
 COLUMNS, ROWS = 640, 480  # photosites, 2x2 to a pixel
 

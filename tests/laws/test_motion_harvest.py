@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from test_harvest import DISTORTION
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Motion
-from pepperscene.dataset import FrameRenderer, load_recipe
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.truth.encodings import decode_rle
 

@@ -14,12 +14,12 @@ import pytest
 from bodies import axis_camera, card, sheet, sphere
 from scipy import stats
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_sensor
 from pepperscene.classes import Appearance
-from pepperscene.dataset.recipe.load import load_recipe
-from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import QUALITIES, Renderer
 from pepperscene.render.reference.emitters import daylight_emitter
 from pepperscene.render.reference.path_tracer import SAMPLERS, path_scene, path_traced, samples_taken

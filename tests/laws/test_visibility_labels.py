@@ -16,9 +16,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.viewpoints import BoxWorkspace, ReachTest, random_poses
 from pepperscene.camera import Camera
-from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.viewpoints import BoxWorkspace, ReachTest, random_poses
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import FruitObserver
 

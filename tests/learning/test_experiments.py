@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 pytest.importorskip("torch")
 
+from pepperscene.building.execution.build import build
+from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.cli import app
-from pepperscene.dataset.execution.build import build
-from pepperscene.dataset.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.frame import Frame
 from pepperscene.geometry import rectangle

@@ -13,7 +13,6 @@ pytest.importorskip("torch")
 
 from pepperscene.dataset.readers.open import RenderedSet
 from pepperscene.dataset.readers.published import PublishedSet
-from pepperscene.dataset.recipe.plan import Plan
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import FRUIT_CLASSES
 from pepperscene.learning.experiments import ExperimentOptions, run_experiments
@@ -27,6 +26,7 @@ from pepperscene.learning.experiments.splits import (
 )
 from pepperscene.learning.training import train
 from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.recipe.plan import Plan
 
 QUICK = TrainingOptions("small,width=0.25", None, 2, 2, (32, 32), None, precision="float32")
 

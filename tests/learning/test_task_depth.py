@@ -32,7 +32,7 @@ def folder(tmp_path_factory):
 
 
 def truth_of(folder, index):
-    from pepperscene.dataset import open_dataset
+    from pepperscene.dataset.store.dataset import open_dataset
 
     return open_dataset(folder).image(index, "depth_z")
 
@@ -160,7 +160,7 @@ def test_perfect_predictions_score_zero_in_all_regions_of_the_test_plants(folder
 
 @pytest.mark.parametrize("suffix", ["exr", "png"])
 def test_predictions_can_be_exr_in_metres_or_png_in_millimetres(folder, tmp_path, suffix):
-    from pepperscene.dataset import write_image
+    from pepperscene.dataset.store.images import write_image
 
     (tmp_path / "mine").mkdir()
     for index in TEST:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from pepperscene.classes import OrganClass
 from pepperscene.cli import app
-from pepperscene.dataset import open_dataset
+from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 from pepperscene.learning.tasks import evaluate_sensors
 from pepperscene.learning.tasks.frames import open_task_frames
@@ -45,7 +45,7 @@ def test_twins_are_numbered_as_in_the_plan(folder):
     frames = open_task_frames(folder, ("colour", "class"))
     assert frames.test.indices == tuple(TEST)
     plan = open_dataset(folder).info["recipe"]["plan"]
-    from pepperscene.dataset.recipe.plan import Plan
+    from pepperscene.recipe.plan import Plan
 
     whole = Plan.model_validate({key: plan[key] for key in ("sets", "rotations", "frames", "twins")})
     assert [twin_number(frames.test, index) for index in TEST] == [whole.frame(index).twin for index in TEST]

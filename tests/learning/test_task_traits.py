@@ -9,7 +9,7 @@ from task_sets import painted_set
 from typer.testing import CliRunner
 
 from pepperscene.cli import app
-from pepperscene.dataset import open_dataset
+from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 from pepperscene.learning.tasks.predictions import PredictionFolder
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, has_bands, partial_least_squares

@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 
 import pepperscene as ps
 from pepperscene.cli import app
-from pepperscene.dataset.recipe.load import resolve_recipe
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.frame import Frame
 from pepperscene.learning.tasks.view_planners import PlanningState, arc_planner, random_planner
 from pepperscene.learning.tasks.view_scenes import ViewTask, covered_fraction, view_scenes
 from pepperscene.learning.tasks.view_task import ORACLE, evaluate_planners, plan_views
 from pepperscene.learning.tasks.voxel_planner import VOXEL_M, VoxelMap, VoxelPlanner
+from pepperscene.recipe.load import resolve_recipe
 
 SMALL = {
     "cultivar": "kaite_february", "row": {"plants_front": 1, "plants_back": 0},

@@ -10,7 +10,7 @@ import sys
 import pytest
 from painted_bands import write_bands
 
-from pepperscene.dataset.store.atomic import sole_writer
+from pepperscene.atomic import sole_writer
 from pepperscene.errors import OutputError
 
 pytest.importorskip("torch", reason="the extra `learn` installs torch")
@@ -49,7 +49,7 @@ def test_a_folder_has_one_writer_at_a_time(tmp_path):
     script = (
         "import sys, time\n"
         "from pathlib import Path\n"
-        "from pepperscene.dataset.store.atomic import sole_writer\n"
+        "from pepperscene.atomic import sole_writer\n"
         "with sole_writer(Path(sys.argv[1])):\n"
         "    print('inside', flush=True)\n"
         "    time.sleep(60)\n"

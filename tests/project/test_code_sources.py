@@ -38,24 +38,24 @@ WORDS = (
 
 NAMED_IMPORTS = {
     ("learning/user_callable.py", "import_module"): "a name that the user typed, and only if code is allowed",
-    ("dataset/views/user_function.py", "run_path"): "the file of a recipe, after `ResolvedRecipe.check_code`",
-    ("dataset/subprocess_rpc.py", "import_module"): "a name from the parent process",
-    ("dataset/export/run.py", "import_module"): "a key of the table FORMATS",
-    ("dataset/export/run.py", "import_library"): "a value of the table FORMATS",
-    ("dataset/export/job.py", "import_module"): "the argument of `import_library`, which this test checks",
+    ("recipe/views/user_function.py", "run_path"): "the file of a recipe, after `ResolvedRecipe.check_code`",
+    ("building/subprocess_rpc.py", "import_module"): "a name from the parent process",
+    ("export/run.py", "import_module"): "a key of the table FORMATS",
+    ("export/run.py", "import_library"): "a value of the table FORMATS",
+    ("export/job.py", "import_module"): "the argument of `import_library`, which this test checks",
 }
 """The only imports by a name that is no constant, and why they are safe."""
 
 PICKLES = {
-    "dataset/subprocess_rpc.py": "pipes between the processes of a build",
-    "dataset/execution/dask_executor.py": "connections of a Dask cluster",
-    "dataset/execution/dask_worker.py": "connections of a Dask cluster",
+    "building/subprocess_rpc.py": "pipes between the processes of a build",
+    "building/execution/dask_executor.py": "connections of a Dask cluster",
+    "building/execution/dask_worker.py": "connections of a Dask cluster",
 }
 """The only modules that read pickles, and where these come from."""
 
 SEARCH_PATHS = {
     "learning/user_callable.py": "the current folder, during an import that the user has allowed",
-    "dataset/subprocess_rpc.py": "a worker imports from the folders of its parent",
+    "building/subprocess_rpc.py": "a worker imports from the folders of its parent",
     "__main__.py": "takes the current folder off",
 }
 """The only modules that change `sys.path`."""
@@ -133,9 +133,9 @@ def test_child_interpreters_do_not_search_the_current_folder():
         ]
     # Slurm's workers are started by dask-jobqueue, and inherit PYTHONSAFEPATH from the script; `bpy_python`
     # returns the Python of Blender, whose two calls have -P.
-    assert sorted(found) == ["cycles_process.py", "dataset/execution/slurm_script.py"]
+    assert sorted(found) == ["cycles_process.py", "building/execution/slurm_script.py"]
     slurm, cycles = (
-        PACKAGE / "dataset/execution/slurm_script.py",
+        PACKAGE / "building/execution/slurm_script.py",
         ROOT / "benchmarks/cycles/cycles_process.py",
     )
     assert "export PYTHONSAFEPATH=1" in slurm.read_text(encoding="utf-8")

@@ -19,13 +19,13 @@ from search_index import SearchIndex
 from typer.models import OptionInfo
 
 import pepperscene
+from pepperscene.building.scenes.plants import PROCESSES
+from pepperscene.building.subprocess_rpc import THREADS
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.cli import app
 from pepperscene.cultivar import Cultivar, Distribution
-from pepperscene.dataset import Recipe
-from pepperscene.dataset.scenes.plants import PROCESSES
-from pepperscene.dataset.subprocess_rpc import THREADS
 from pepperscene.frame import OUTPUTS
+from pepperscene.recipe.recipe import Recipe
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

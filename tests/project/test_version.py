@@ -20,11 +20,11 @@ RELEASE = re.compile(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d{2}-\d{2})$", re.MULTI
 RECORDS = {
     "bench/scenes.py",  # identity of a cached reference
     "cli/application.py",  # --version
-    "dataset/execution/dask_worker.py",  # workers have the version of the build
-    "dataset/execution/job.py",  # dataset.json
-    "dataset/export/fruit_models.py",  # plants are grown again only by the version that grew them
-    "dataset/report/recorded_scene.py",  # as fruit_models
-    "dataset/viewpoints/table.py",  # metadata of a table
+    "building/execution/dask_worker.py",  # workers have the version of the build
+    "building/execution/job.py",  # dataset.json
+    "export/fruit_models.py",  # plants are grown again only by the version that grew them
+    "review/report/recorded_scene.py",  # as fruit_models
+    "building/viewpoints/table.py",  # metadata of a table
     "learning/experiments/run.py",
     "learning/models/trained_model.py",
     "learning/training/run.py",

@@ -19,7 +19,7 @@ from pepperscene.camera import (
     measured_electrons,
     raw_frame,
 )
-from pepperscene.camera.colorimetry import srgb_encode
+from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.errors import InputError
 from pepperscene.frame import COLOUR_OUTPUTS
 from pepperscene.render import Renderer

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from greenhouse import camera, greenhouse
 
-from pepperscene.camera import Motion, row_strips
+from pepperscene.camera import Motion
+from pepperscene.camera.sensor import row_strips
 from pepperscene.frame import BAND_OUTPUTS
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.transport import strips

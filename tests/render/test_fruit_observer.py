@@ -14,11 +14,12 @@ import trimesh
 from bodies import axis_camera, body, card, sphere
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Distortion, look_at
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import FrameRenderer, load_recipe
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import concatenate_meshes
+from pepperscene.recipe.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import observer as observer_module
 from pepperscene.render.viewpoints.fruit_parts import FruitPart

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from processes import run_python
 
+from pepperscene.building.scenes.plant_size import plant_triangles
+from pepperscene.building.scenes.scene_size import scene_triangles
 from pepperscene.camera import Motion
-from pepperscene.dataset import resolve_recipe
-from pepperscene.dataset.recipe.plan import Stream, random_generator
-from pepperscene.dataset.scenes.plant_size import plant_triangles
-from pepperscene.dataset.scenes.scene_size import scene_triangles
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.geometry import compilation, mesh_plant
 from pepperscene.grammar import grow
+from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.plan import Stream, random_generator
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory, written_memory
 
@@ -148,11 +148,12 @@ def test_far_rows_are_counted(resolved):
 PEAK = """
 import json, resource
 from dataclasses import replace
-from pepperscene.dataset import FrameRenderer, resolve_recipe
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.recipe.load import resolve_recipe
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory
-from pepperscene.dataset.scenes.plant_size import plant_triangles
-from pepperscene.dataset.scenes.scene_size import scene_triangles
+from pepperscene.building.scenes.plant_size import plant_triangles
+from pepperscene.building.scenes.scene_size import scene_triangles
 
 size, output = {size}, {output!r}
 renderer = FrameRenderer(resolve_recipe("demo", {{"row.plants_front": 3, "row.plants_back": 0}}))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from greenhouse import camera, cloudy_sky, greenhouse, others
 
-from pepperscene.camera import Motion, row_strips
+from pepperscene.camera import Motion
+from pepperscene.camera.sensor import row_strips
 from pepperscene.frame import OUTPUTS
 from pepperscene.render import QUALITIES, Quality, Renderer
 from pepperscene.render.transport import strips

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.cultivar import load_cultivar
-from pepperscene.dataset import load_recipe
-from pepperscene.dataset.scenes.scene_builder import SceneBuilder
 from pepperscene.geometry import JointRotation, concatenate_meshes, mesh_plant, move_plant, rectangle
 from pepperscene.grammar import grow
 from pepperscene.materials import lambertian_surface
+from pepperscene.recipe.load import load_recipe
 from pepperscene.scene import Scene, Skeleton, assemble_scene, build_skeleton
 
 MESH = concatenate_meshes(

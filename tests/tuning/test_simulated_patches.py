@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pepperscene.camera import decode_tone, pedestal
-from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.load_camera import load_camera
-from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
 from pepperscene.errors import InputError
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolved import load_recipe_cultivar
 from pepperscene.tuning import TuningTarget, simulate_patches
 from pepperscene.tuning.parameters.tuned import colour_steps, tuned_camera, tuned_parts
 

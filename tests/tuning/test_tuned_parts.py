@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from simulated_fits import all_parameters
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.load_camera import load_camera
 from pepperscene.materials import leaf_body, rind_reflectance
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.load_camera import load_camera
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
 from pepperscene.tuning.parameters.surface import (
     CONTENT_FIELDS,

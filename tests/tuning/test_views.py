@@ -10,10 +10,10 @@ from simulated_fits import KINDS, no_patches
 
 from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
-from pepperscene.dataset import load_recipe
-from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.load_camera import surface_wavelengths
 from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.model.target import TuningTarget

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from example_fit import VALUES, example_fit, example_patches
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import colour_transform
 from pepperscene.cultivar import PigmentPath, Pigments, load_cultivar
-from pepperscene.dataset import FrameRenderer, load_recipe
-from pepperscene.dataset.recipe.load_camera import load_camera
-from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
 from pepperscene.errors import InputError, OutputError
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolved import load_recipe_cultivar
 from pepperscene.tuning.output import write as write_module
 from pepperscene.tuning.output.parts import simplify_path
 from pepperscene.tuning.output.provenance import RunInfo, format_value, format_with_sd, toml_text

@@ -64,7 +64,7 @@ def time_calls(times: Times, stage: str, function: Callable[..., Any]) -> Callab
 def time_plants(times: Times) -> None:
     """Time the functions that make a plant; `resolve_contacts` of single plants only."""
     from pepperscene import geometry, scene
-    from pepperscene.dataset.scenes import plants
+    from pepperscene.building.scenes import plants
 
     plants.grow_in_memory = time_calls(times, "grow", plants.grow_in_memory)
     geometry.mesh_plant = time_calls(times, "mesh", geometry.mesh_plant)
@@ -104,7 +104,7 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
     plant_times: Times = {}
     with timed(scene_times, "import"):
         import pepperscene as ps
-        from pepperscene.dataset import FrameRenderer
+        from pepperscene.building.scenes.frame_renderer import FrameRenderer
         from pepperscene.frame import OUTPUTS, check_outputs, needs_surfaces
         from pepperscene.render.variant import mitsuba_modules, variant_name
     with timed(scene_times, "start Mitsuba"):

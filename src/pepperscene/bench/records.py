@@ -16,8 +16,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
+from pepperscene.atomic import atomic_write, canonical_json
 from pepperscene.bench.measure import BenchResult
-from pepperscene.dataset.store.atomic import atomic_write, canonical_json
 from pepperscene.errors import OutputError
 
 FORMAT: Final = "pepperscene bench 2"

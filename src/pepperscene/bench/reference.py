@@ -13,10 +13,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.atomic import atomic_write
 from pepperscene.bench.image_errors import Reference
 from pepperscene.bench.scenes import BenchSubject
 from pepperscene.camera import Camera
-from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.errors import InputError
 from pepperscene.render import Quality, resolve_quality
 from pepperscene.user_files import open_file

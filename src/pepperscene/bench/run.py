@@ -10,6 +10,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
+from pepperscene.atomic import check_can_create
 from pepperscene.bench.image_errors import Reference, check_packages
 from pepperscene.bench.measure import BenchResult, measure_settings, measure_variant, other_variants
 from pepperscene.bench.plot import Panel, plot_pareto
@@ -31,7 +32,6 @@ from pepperscene.bench.report import (
 from pepperscene.bench.scenes import SCENES, BenchScene, load_subject
 from pepperscene.bench.settings import Setting, settings
 from pepperscene.camera import Camera
-from pepperscene.dataset.store.atomic import check_can_create
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.render import QUALITIES
 

@@ -12,10 +12,12 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera, pedestal
-from pepperscene.dataset import FrameRenderer, Recipe, load_recipe
 from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.recipe import Recipe
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 from pepperscene.version import __version__

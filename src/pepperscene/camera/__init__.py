@@ -1,17 +1,16 @@
 """The camera: lens, sensor, flash and poses, and the conversion of light to images."""
 
-from pepperscene.camera.auto_exposure import (
+from pepperscene.camera.camera import Camera
+from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
+from pepperscene.camera.image.auto_exposure import (
     ChosenExposure,
     ExposureControl,
     choose_exposure,
     metering_camera,
     with_exposure,
 )
-from pepperscene.camera.bands import Band
-from pepperscene.camera.camera import Camera
-from pepperscene.camera.depth_alignment import align_depth
-from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
-from pepperscene.camera.developing import (
+from pepperscene.camera.image.depth_alignment import align_depth
+from pepperscene.camera.image.developing import (
     add_pedestal,
     camera_rgb,
     colour_transform,
@@ -25,28 +24,29 @@ from pepperscene.camera.developing import (
     reference_correction,
     reference_light,
 )
-from pepperscene.camera.distortion import Distortion, DistortionModel, FisheyeDistortion
-from pepperscene.camera.flash import Flash, load_flash
-from pepperscene.camera.glare import add_stray_light
-from pepperscene.camera.image_light import (
+from pepperscene.camera.image.glare import add_stray_light
+from pepperscene.camera.image.image_light import (
     electrons_per_light,
     expected_electrons,
     image_electrons,
     relative_illumination,
 )
-from pepperscene.camera.lens import AngularProfile, Lens, load_lens
-from pepperscene.camera.motion import Motion
-from pepperscene.camera.paths import Trajectory, spline_trajectory, trajectory_from_poses
-from pepperscene.camera.pose_files import PoseFormat, read_poses, write_poses
-from pepperscene.camera.pose_list import PoseList
-from pepperscene.camera.poses import arc_path, grid_poses, look_at, protocol_poses
-from pepperscene.camera.projector import Projector, load_projector
-from pepperscene.camera.readout import Developing
-from pepperscene.camera.sensor import Filter, Sensor
-from pepperscene.camera.sensor_files import load_filter, load_sensor
-from pepperscene.camera.stereo_matching import MatchedDepth, match_depth
-from pepperscene.camera.stray_light import Ghost, StrayLight
-from pepperscene.camera.white_reference import WhiteReference
+from pepperscene.camera.image.stereo_matching import MatchedDepth, match_depth
+from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
+from pepperscene.camera.optics.flash import Flash, load_flash
+from pepperscene.camera.optics.lens import AngularProfile, Lens, load_lens
+from pepperscene.camera.optics.projector import Projector, load_projector
+from pepperscene.camera.optics.stray_light import Ghost, StrayLight
+from pepperscene.camera.optics.white_reference import WhiteReference
+from pepperscene.camera.pose_files.pose_files import PoseFormat, read_poses, write_poses
+from pepperscene.camera.poses.motion import Motion
+from pepperscene.camera.poses.paths import Trajectory, spline_trajectory, trajectory_from_poses
+from pepperscene.camera.poses.pose_list import PoseList
+from pepperscene.camera.poses.poses import arc_path, grid_poses, look_at, protocol_poses
+from pepperscene.camera.sensor.bands import Band
+from pepperscene.camera.sensor.readout import Developing
+from pepperscene.camera.sensor.sensor import Filter, Sensor
+from pepperscene.camera.sensor.sensor_files import load_filter, load_sensor
 
 __all__ = [
     "AngularProfile",

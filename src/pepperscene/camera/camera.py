@@ -10,10 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.flash import Flash
-from pepperscene.camera.lens import Lens
-from pepperscene.camera.line_scanner import crossing_times
-from pepperscene.camera.motion import Motion
+from pepperscene.camera.optics.flash import Flash
+from pepperscene.camera.optics.lens import Lens
 from pepperscene.camera.pixel_rays import (
     border_slopes,
     centre_directions,
@@ -25,9 +23,11 @@ from pepperscene.camera.pixel_rays import (
     slope_limits,
 )
 from pepperscene.camera.point_arrays import as_points
-from pepperscene.camera.readout import Developing
-from pepperscene.camera.sensor import Sensor
-from pepperscene.camera.shutter import Shutter
+from pepperscene.camera.poses.motion import Motion
+from pepperscene.camera.sensor.line_scanner import crossing_times
+from pepperscene.camera.sensor.readout import Developing
+from pepperscene.camera.sensor.sensor import Sensor
+from pepperscene.camera.sensor.shutter import Shutter
 from pepperscene.errors import InputError
 
 _ROW_ACCURACY_PX: Final = 1e-9  # chosen: rounding of pixel coordinates is a thousandth of it

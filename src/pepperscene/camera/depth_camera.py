@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.camera.auto_exposure import ExposureControl
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.projector import Projector
+from pepperscene.camera.image.auto_exposure import ExposureControl
+from pepperscene.camera.optics.projector import Projector
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.lens import Lens
-from pepperscene.camera.row_strips import is_whole, row_strips
-from pepperscene.camera.sensor import Sensor
+from pepperscene.camera.optics.lens import Lens
+from pepperscene.camera.sensor.row_strips import is_whole, row_strips
+from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.errors import InputError
 
 _WIDEST_DEG: Final = 85.0

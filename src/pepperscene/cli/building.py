@@ -62,9 +62,11 @@ def build(
 ) -> None:
     """Build a data set. Finished frames are kept: run the same command again to resume a build."""
     names = parse_outputs(outputs)
+    from pepperscene.building.execution.build import BuildProgress
+    from pepperscene.building.execution.build import build as build_dataset
+    from pepperscene.building.execution.job import BuildOptions
     from pepperscene.cli.progress import progress_reporter
-    from pepperscene.dataset import BuildOptions, BuildProgress, parse_changes, resolve_recipe
-    from pepperscene.dataset import build as build_dataset
+    from pepperscene.recipe.load import parse_changes, resolve_recipe
 
     if dry_run:
         options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
@@ -117,8 +119,10 @@ def render(
 ) -> None:
     """Render one frame of a recipe, to preview it or to try a setting."""
     names = parse_outputs(outputs)
+    from pepperscene.building.execution.job import BuildOptions
+    from pepperscene.building.execution.single_frame import render_frame
     from pepperscene.cli.progress import render_status
-    from pepperscene.dataset import BuildOptions, parse_changes, render_frame, resolve_recipe
+    from pepperscene.recipe.load import parse_changes, resolve_recipe
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=allow_code)
     options = BuildOptions(quality=quality, target_error=target_error, seed=seed)
@@ -132,7 +136,7 @@ def render(
 @handle_errors
 def recipes() -> None:
     """List the shipped recipes."""
-    from pepperscene.dataset import load_recipe
+    from pepperscene.recipe.load import load_recipe
     from pepperscene.shipped import shipped_folder
 
     for path in sorted(shipped_folder("recipes").glob("*.toml")):
@@ -169,7 +173,7 @@ def plant(
     quality: QualityOption = "standard",
 ) -> None:
     """Grow one plant and export its mesh, with an image."""
-    from pepperscene.dataset.scenes.plant_export import export_plant
+    from pepperscene.building.scenes.plant_export import export_plant
 
     result = export_plant(
         cultivar, out, seed, detail=detail, until=until, share=share, picture=picture, quality=quality

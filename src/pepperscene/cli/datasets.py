@@ -24,7 +24,7 @@ from pepperscene.cli.progress import check_progress, echo_measured, echo_progres
 from pepperscene.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from pepperscene.dataset.check import CheckResult
+    from pepperscene.review.check import CheckResult
 
 
 EXIT_FAULTS: Final = 1
@@ -46,7 +46,7 @@ def check(
     json: JsonOption = False,
 ) -> None:
     """Check a data set for faults. Exits with 1 if there are any."""
-    from pepperscene.dataset import check_dataset
+    from pepperscene.review.check import check_dataset
 
     with check_progress() as on_frame:
         result = check_dataset(folder, workers, on_frame, frames)
@@ -149,7 +149,7 @@ def export(
     ] = "keep",
 ) -> None:
     """Export a data set to a format that other programs read."""
-    from pepperscene.dataset import export_dataset
+    from pepperscene.export import export_dataset
 
     with export_progress() as on_frame:
         result = export_dataset(
@@ -188,8 +188,8 @@ def report(
     ] = False,
 ) -> None:
     """Write an HTML report and a contact sheet. The files are in the folder of the data set."""
-    from pepperscene.dataset import write_report
     from pepperscene.dataset.readers import open_images
+    from pepperscene.review.report import write_report
 
     other = None if beside is None else open_images(beside, labels=labels, half=half)
     for name, value in (("labels", labels), ("half", half)):
@@ -264,7 +264,7 @@ def _pixel_sizes(text: str | None) -> tuple[float, float] | None:
 
 
 def _write_figure(file: Path, content: bytes) -> None:
-    from pepperscene.dataset.store.atomic import atomic_write, check_can_write
+    from pepperscene.atomic import atomic_write, check_can_write
 
     check_can_write(file.absolute().parent, [file.name])
     try:

@@ -271,7 +271,7 @@ def require_torch() -> None:
 
 def _check_output(out: Path) -> None:
     """Raise `OutputError` before the evaluation, which can take hours, if its files cannot be written."""
-    from pepperscene.dataset.store.atomic import check_can_write
+    from pepperscene.atomic import check_can_write
     from pepperscene.learning.evaluation.page import JSON_NAME, PAGE_NAME
 
     check_can_write(out, (JSON_NAME, PAGE_NAME))

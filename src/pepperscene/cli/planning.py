@@ -26,7 +26,8 @@ from pepperscene.cli.application import (
 from pepperscene.cli.progress import echo_progress
 
 if TYPE_CHECKING:
-    from pepperscene.dataset import BuildOptions, ResolvedRecipe
+    from pepperscene.building.execution.job import BuildOptions
+    from pepperscene.recipe.resolved import ResolvedRecipe
 
 
 @app.command()
@@ -67,7 +68,7 @@ def plan(
 ) -> None:
     """Describe what a build would make, what it costs and where its cameras are, without building."""
     names = parse_outputs(outputs)
-    from pepperscene.dataset import BuildOptions
+    from pepperscene.building.execution.job import BuildOptions
 
     options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
     selected = select_frames(recipe, set, frames, allow_code=allow_code)
@@ -78,7 +79,7 @@ def select_frames(
     recipe: str, changes: list[str] | None, frames: str | None = None, *, allow_code: bool = False
 ) -> ResolvedRecipe:
     """A recipe with changes as for `--set`, which selects frames "A:B", or those of the recipe."""
-    from pepperscene.dataset import parse_changes, resolve_recipe
+    from pepperscene.recipe.load import parse_changes, resolve_recipe
 
     values = parse_changes(changes or ())
     resolved = resolve_recipe(recipe, values, allow_code=allow_code)
@@ -99,8 +100,8 @@ def describe_build(
     poses: Path | None = None,
 ) -> None:
     """Print what a build would make and cost; the other arguments are those of `plan`."""
-    from pepperscene.dataset.preview.preview import preview_plan
-    from pepperscene.dataset.preview.text import plan_lines
+    from pepperscene.review.preview.preview import preview_plan
+    from pepperscene.review.preview.text import plan_lines
 
     options = replace(options, on_notice=_echo_notice)
     preview = preview_plan(resolved, outputs, options, probe=probe, picture=out, poses=poses)

@@ -18,8 +18,8 @@ from pepperscene.durations import format_duration, format_rate
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from pepperscene.dataset import BuildProgress, BuildResult
-    from pepperscene.dataset.execution.progress_bar import ProgressBar
+    from pepperscene.building.execution.build import BuildProgress, BuildResult
+    from pepperscene.building.execution.progress_bar import ProgressBar
 
 _EVERY_LINE: Final = 200  # chosen: up to so many frames, each is printed
 _INTERVAL_S: Final = 5.0  # chosen: seconds between lines for more frames
@@ -85,7 +85,7 @@ def progress_reporter(as_json: bool) -> Iterator[ProgressReporter]:
     elif sys.stderr.isatty():
         from rich.console import Console
 
-        from pepperscene.dataset.execution.progress_bar import ProgressBar
+        from pepperscene.building.execution.progress_bar import ProgressBar
 
         with ProgressBar(Console(stderr=True)) as bar:
             yield BarReporter(bar)

@@ -168,9 +168,9 @@ def _depth(request: _Request) -> TaskResult:
 
 def _views(request: _Request) -> TaskResult:
     from pepperscene.cli.viewpoints import parse_box
-    from pepperscene.dataset import parse_changes, resolve_recipe
     from pepperscene.learning.tasks.view_scenes import ViewTask
     from pepperscene.learning.tasks.view_task import PLANNERS, evaluate_planners
+    from pepperscene.recipe.load import parse_changes, resolve_recipe
 
     request.check("methods", "views", "candidates", "box", "changes")
     planners = {**request.select(PLANNERS), **request.load_methods()}

@@ -25,7 +25,7 @@ def view(
     ] = None,
 ) -> None:
     """Look at a data set in Rerun's viewer, or at its report in a browser."""
-    from pepperscene.dataset.viewer import PROGRAMS, choose_program, view_in_browser, view_in_rerun
+    from pepperscene.cli.viewer import PROGRAMS, choose_program, view_in_browser, view_in_rerun
 
     if program not in (None, *PROGRAMS):
         raise InputError("--program", f"must be {' or '.join(PROGRAMS)}, not {program!r}")

@@ -13,8 +13,8 @@ from pepperscene.errors import ArgumentError
 from pepperscene.truth.fruit_visibility import SAMPLES
 
 if TYPE_CHECKING:
-    from pepperscene.dataset.viewpoints.recipe_visibility import SceneVisibility
-    from pepperscene.dataset.viewpoints.workspace import BoxWorkspace, Workspace
+    from pepperscene.building.viewpoints.recipe_visibility import SceneVisibility
+    from pepperscene.building.viewpoints.workspace import BoxWorkspace, Workspace
 
 
 @app.command()
@@ -67,9 +67,9 @@ def visibility(
     allow_code: CodeOption = False,
 ) -> None:
     """Compute what cameras see of each fruit, what hides it, and the next best views, without images."""
-    from pepperscene.dataset import parse_changes, resolve_recipe
-    from pepperscene.dataset.viewpoints.recipe_visibility import ViewpointOptions, recipe_visibility
-    from pepperscene.dataset.viewpoints.table import check_table_path, write_visibility
+    from pepperscene.building.viewpoints.recipe_visibility import ViewpointOptions, recipe_visibility
+    from pepperscene.building.viewpoints.table import check_table_path, write_visibility
+    from pepperscene.recipe.load import parse_changes, resolve_recipe
 
     check_table_path(out)
     options = ViewpointOptions(
@@ -102,14 +102,14 @@ def visibility(
 
 def parse_box(text: str) -> BoxWorkspace:
     """The workspace of a text "X0,X1,Y0,Y1,Z0,Z1" in millimetres."""
-    from pepperscene.dataset.viewpoints.workspace import BoxWorkspace
+    from pepperscene.building.viewpoints.workspace import BoxWorkspace
 
     x0, x1, y0, y1, z0, z1 = _metres(text, "box", 6)
     return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
 
 
 def _workspace(box: str | None, sphere: str | None) -> Workspace | None:
-    from pepperscene.dataset.viewpoints.workspace import SphereWorkspace
+    from pepperscene.building.viewpoints.workspace import SphereWorkspace
 
     if box is not None and sphere is not None:
         raise ArgumentError("sphere", "cannot be combined with box")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import encode_tone
-from pepperscene.camera.colorimetry import SRGB_TO_XYZ, xyz_to_lab
+from pepperscene.camera.image.colorimetry import SRGB_TO_XYZ, xyz_to_lab
 from pepperscene.spectra import colour_science
 from pepperscene.truth.statistics import HUE_BINS, hue_bins
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.colorimetry import srgb_decode
+from pepperscene.camera.image.colorimetry import srgb_decode
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry.mesh import PIGMENTS, Mesh

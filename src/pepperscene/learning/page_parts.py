@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS, IGNORE_COLOUR
 from pepperscene.colour.comparison.tables import TextTable
-from pepperscene.dataset.report.markup import Html, csp_hash, element, fragment, joined
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.review.report.markup import Html, csp_hash, element, fragment, joined
 
 _STYLE: Final = """
 :root { color-scheme: light; }

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
-from pepperscene.camera.row_strips import is_whole, row_strips
+from pepperscene.camera.sensor.row_strips import is_whole, row_strips
 from pepperscene.frame import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS, needs_surfaces
 from pepperscene.geometry import compilation
 from pepperscene.render.quality import Quality

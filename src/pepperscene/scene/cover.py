@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from pepperscene.camera.sensor_files import read_fraction
+from pepperscene.camera.sensor.sensor_files import read_fraction
 from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, illuminance, photopic_efficiency

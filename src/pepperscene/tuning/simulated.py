@@ -16,16 +16,16 @@ from numpy.typing import ArrayLike
 from pepperscene.camera import Camera, add_pedestal, camera_rgb, correct_colours, decode_tone, encode_tone
 from pepperscene.colour import Patch, PatchSet
 from pepperscene.colour.patches.patch import is_organ_kind
-from pepperscene.dataset.recipe.load_camera import surface_wavelengths
 from pepperscene.errors import ArgumentError
 from pepperscene.materials import organ_surfaces
+from pepperscene.recipe.load_camera import surface_wavelengths
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.model.views import ORGANS, PIXELS, OrganView, with_surfaces
 from pepperscene.tuning.parameters.tuned import tuned_camera
 
 if TYPE_CHECKING:
-    from pepperscene.dataset import Recipe
+    from pepperscene.recipe.recipe import Recipe
 
 QUALITY: Final = Quality(64, 64, 64, 1, target=None, denoise=False)
 """Chosen: the noise of the light simulation is then far below that of photons."""

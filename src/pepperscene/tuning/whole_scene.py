@@ -18,7 +18,8 @@ from pepperscene.tuning.model.observables import observables
 from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
 
 if TYPE_CHECKING:
-    from pepperscene.dataset import Dataset, Recipe
+    from pepperscene.dataset.store.dataset import Dataset
+    from pepperscene.recipe.recipe import Recipe
     from pepperscene.tuning.model.target import TuningTarget
     from pepperscene.tuning.parameters.tuned import TunedParts
 
@@ -76,8 +77,9 @@ def render_statistics(
 
     `allow_code` says whether the recipe's code may run.
     """
+    from pepperscene.building.execution.build import build
+    from pepperscene.building.execution.job import BuildOptions
     from pepperscene.colour import open_patches
-    from pepperscene.dataset import BuildOptions, build
 
     total = recipe.plan.count
     count = min(frames, total)

@@ -26,7 +26,7 @@ from pepperscene.tuning.whole_scene import (
 )
 
 if TYPE_CHECKING:
-    from pepperscene.dataset import Recipe
+    from pepperscene.recipe.recipe import Recipe
 
 MAX_ROUNDS: Final = 3
 VERIFY_FRAMES: Final = 4  # chosen: enough organs, in half a minute each time
@@ -122,7 +122,8 @@ def tune(
         OutputError: The folder is not empty, or cannot be written to.
         SetupError: The machine cannot render; nothing is written.
     """
-    from pepperscene.dataset import Recipe, load_recipe
+    from pepperscene.recipe.load import load_recipe
+    from pepperscene.recipe.recipe import Recipe
 
     source = extends if isinstance(recipe, Recipe) else recipe
     loaded = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)

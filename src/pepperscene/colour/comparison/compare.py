@@ -21,7 +21,7 @@ from pepperscene.colour.comparison.result import Comparison
 from pepperscene.colour.comparison.scale import WIDTH_PX, choose_scales
 from pepperscene.colour.comparison.whole_images import compare_appearance, compare_light
 from pepperscene.colour.patches.patch import PatchSet
-from pepperscene.dataset import ImageSet
+from pepperscene.dataset.readers.image_set import ImageSet
 
 DEFAULT_LIMIT: Final = 1000
 """Chosen: a mean over 1,000 images is known to 3 % of the spread between them."""

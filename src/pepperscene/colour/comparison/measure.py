@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import decode_tone
-from pepperscene.camera.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
+from pepperscene.camera.image.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
 from pepperscene.colour.comparison.appearance import WHOLE, add_appearance
 from pepperscene.colour.comparison.bootstrap import BootstrapSums, Floats, bootstrap_weights
@@ -22,9 +22,9 @@ from pepperscene.colour.comparison.scale import Scale
 from pepperscene.colour.patches.open import organ_regions
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
 from pepperscene.colour.statistics import hue_histogram, linear_srgb_to_lab, srgb_codes
-from pepperscene.dataset import ImageSet
-from pepperscene.dataset.report.data import evenly_spaced, read_ahead
+from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import InputError
+from pepperscene.review.report.data import evenly_spaced, read_ahead
 from pepperscene.spectra import Spectrum
 from pepperscene.truth import HUE_BINS, ImageStatistics, centre_crop, grey_values
 

@@ -8,8 +8,8 @@ from typing import Any
 from pepperscene.colour.patches.extraction import reflectance_file
 from pepperscene.colour.patches.open import open_patches
 from pepperscene.colour.patches.patch import PatchSet
-from pepperscene.dataset import ImageSet
 from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.several import half_targets, label_targets
 from pepperscene.errors import ArgumentError, InputError
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from pepperscene.colour.patches.patch import PatchSet
-from pepperscene.dataset import ImageSet
+from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import ArgumentError
 from pepperscene.truth import centre_side
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import decode_tone
-from pepperscene.camera.colorimetry import (
+from pepperscene.camera.image.colorimetry import (
     COLOUR_CHECKER_FILE,
     XYZ_TO_SRGB,
     adapted_xyz,

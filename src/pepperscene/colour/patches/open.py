@@ -14,8 +14,8 @@ from pepperscene.colour.patches.chart import Calibration, calibrate
 from pepperscene.colour.patches.extraction import Clipped, Extraction, open_reflectances
 from pepperscene.colour.patches.file import ChartPlace, read_patches_file
 from pepperscene.colour.patches.patch import Patch, PatchSet, even_indices
-from pepperscene.dataset import ImageSet, LabelledImage, open_images
-from pepperscene.dataset.readers import KNOWN_LABELS, FolderSet, LabelMap
+from pepperscene.dataset.readers import KNOWN_LABELS, FolderSet, LabelMap, open_images
+from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.readers.pictures import read_mask_of, read_photo
 from pepperscene.document import validate
 from pepperscene.errors import InputError

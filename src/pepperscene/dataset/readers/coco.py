@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.job import IGNORED, REST
+from pepperscene.dataset.dataset_frame import IGNORED, REST
 from pepperscene.dataset.readers.coco_masks import decode_segmentation
 from pepperscene.dataset.readers.folder import natural_sort_key
 from pepperscene.dataset.readers.image_set import VOID, ImageSet, LabelledImage

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.export.job import import_library
+from pepperscene.libraries import import_library
 from pepperscene.truth.encodings import decode_rle
 
 _FIRST_CODE: Final = 48

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.export.class_masks import class_mask, mask_selection, numbers_by_class
-from pepperscene.dataset.export.job import ExportFrame
-from pepperscene.dataset.export.selection import RIPE_FROM, Selection, parse_categories
+from pepperscene.dataset.class_masks import class_mask, mask_selection, numbers_by_class
+from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.open import RenderedSet
+from pepperscene.dataset.selection import RIPE_FROM, Selection, parse_categories
 from pepperscene.dataset.store.crop import fruit_name
 from pepperscene.errors import ArgumentError, InputError
 
@@ -68,8 +68,8 @@ class MaskClasses:
         return class_mask(_frame_with_ripeness(images, images.items[position]), self.selection)
 
 
-def _frame_with_ripeness(images: Any, index: int) -> ExportFrame:
-    frame = ExportFrame(images.dataset, index)
+def _frame_with_ripeness(images: Any, index: int) -> DatasetFrame:
+    frame = DatasetFrame(images.dataset, index)
     for output in ("instance", "harvest"):
         if output not in frame.metadata["outputs"]:
             problem = f"has no output {output!r}, which ripe and unripe fruit need"

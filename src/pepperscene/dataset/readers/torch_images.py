@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.export.splits import Splits
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.open import RenderedSet, open_images
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS
+from pepperscene.dataset.splits import Splits
 from pepperscene.errors import ArgumentError, SetupError
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from pepperscene.camera.bands import Band
-from pepperscene.camera.white_reference import UNLIT_BANDS
+from pepperscene.camera.optics.white_reference import UNLIT_BANDS
+from pepperscene.camera.sensor.bands import Band
 
 _CHANNEL: Final = re.compile(r"B(\d+)(\.\d+nm)?")
 

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
-from pepperscene.camera.bands import Band
-from pepperscene.dataset.store.atomic import (
+from pepperscene.atomic import (
     canonical_json,
     digest,
     exclusive_access,
@@ -30,6 +29,7 @@ from pepperscene.dataset.store.atomic import (
     write_file,
     write_file_if,
 )
+from pepperscene.camera.sensor.bands import Band
 from pepperscene.dataset.store.band_channels import recorded_bands
 from pepperscene.dataset.store.frame_json import (
     CHECKSUM,

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
-from pepperscene.dataset.recipe.plan import MAX_FRAMES, Plan
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
-from pepperscene.dataset.variation.recorded import read_variation
+from pepperscene.recipe.plan import MAX_FRAMES, Plan
+from pepperscene.recipe.variation.recorded import read_variation
 
 _LARGEST: Final = 1e12
 """Chosen: no number of a data set comes near, and sums and squares of such numbers stay finite."""

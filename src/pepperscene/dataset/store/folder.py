@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.dataset.store.atomic import (
+from pepperscene.atomic import (
     check_can_create,
     is_temporary,
     remove,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.dataset.store.atomic import canonical_json
+from pepperscene.atomic import canonical_json
 from pepperscene.dataset.store.manifest import Row, frame_row
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError

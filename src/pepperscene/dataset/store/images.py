@@ -25,9 +25,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.bands import Band
+from pepperscene.atomic import canonical_json
+from pepperscene.camera.sensor.bands import Band
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.store.atomic import canonical_json
 from pepperscene.dataset.store.band_channels import band_attributes, band_channels, sorted_bands
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError

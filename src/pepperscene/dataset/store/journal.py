@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final, Self, final
 
-from pepperscene.dataset.store.atomic import write_error
+from pepperscene.atomic import write_error
 from pepperscene.dataset.store.manifest import TIMINGS, Row, fits_columns
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError

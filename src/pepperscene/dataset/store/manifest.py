@@ -9,8 +9,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from pepperscene.atomic import atomic_write
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.store.atomic import atomic_write
 from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_kinds, drawn_row
 from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
 from pepperscene.frame import OUTPUTS

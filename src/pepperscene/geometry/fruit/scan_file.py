@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.camera.colorimetry import srgb_decode
+from pepperscene.camera.image.colorimetry import srgb_decode
 from pepperscene.document import decode_text
 from pepperscene.errors import InputError
 from pepperscene.geometry.fruit.scan_glb import glb_bodies

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.colour.comparison.bootstrap import bootstrap_weights
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
-from pepperscene.dataset.report.data import evenly_spaced
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.confusion import confusion_matrix, measure_classes
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, EvaluatedSet, Evaluation
 from pepperscene.learning.evaluation.objects import ObjectCounts, count_objects, measure_objects
 from pepperscene.learning.evaluation.segmenter import Segmenter, predict_classes
+from pepperscene.review.report.data import evenly_spaced
 
 OnProgress = Callable[[int, int], None]
 """Called after each image with the number of images done and of all."""

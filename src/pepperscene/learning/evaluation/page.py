@@ -10,10 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.atomic import canonical_json, check_can_write, write_files
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.report.colours import jpeg_data_uri, png_data_uri
-from pepperscene.dataset.report.markup import Html, element, fragment
-from pepperscene.dataset.store.atomic import canonical_json, check_can_write, write_files
 from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.evaluate import label_image
@@ -26,6 +24,8 @@ from pepperscene.learning.page_parts import (
     picture_row,
     table_section,
 )
+from pepperscene.review.report.colours import jpeg_data_uri, png_data_uri
+from pepperscene.review.report.markup import Html, element, fragment
 
 JSON_NAME: Final = "evaluation.json"
 PAGE_NAME: Final = "evaluation.html"

@@ -10,16 +10,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.readers.open import open_images
-from pepperscene.dataset.readers.pictures import is_turned, read_photo, with_upright_exif
-from pepperscene.dataset.store.atomic import (
+from pepperscene.atomic import (
     canonical_json,
     check_can_create,
     make_folder,
     write_error,
     write_file,
 )
+from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.dataset.readers.open import open_images
+from pepperscene.dataset.readers.pictures import is_turned, read_photo, with_upright_exif
 from pepperscene.dataset.store.folder import LITTER
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import ArgumentError, InputError, OutputError

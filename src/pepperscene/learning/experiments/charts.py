@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from pepperscene.dataset.report.markup import Html, element, joined
+from pepperscene.review.report.markup import Html, element, joined
 
 COLOURS: Final = MappingProxyType(
     {"A": "#8c8c8c", "B": "#e69f00", "C": "#56b4e9", "D": "#cc79a7", "E": "#009e73"}

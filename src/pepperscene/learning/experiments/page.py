@@ -7,8 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.dataset.report.colours import jpeg_data_uri, png_data_uri
-from pepperscene.dataset.report.markup import Html, element, fragment
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.experiments.charts import (
     COLOURS,
@@ -21,6 +19,8 @@ from pepperscene.learning.experiments.page_setup import used_section
 from pepperscene.learning.experiments.pictures import PictureRow
 from pepperscene.learning.experiments.schedule import MERGED
 from pepperscene.learning.page_parts import class_legend, data_table, legend, page_document, picture_row
+from pepperscene.review.report.colours import jpeg_data_uri, png_data_uri
+from pepperscene.review.report.markup import Html, element, fragment
 
 _TITLE: Final = "Training on synthetic images, tested on photographs"
 

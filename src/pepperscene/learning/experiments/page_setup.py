@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pepperscene.dataset.report.markup import Html, element
+from pepperscene.review.report.markup import Html, element
 
 
 def used_section(content: Mapping[str, Any], times: Mapping[str, float]) -> Html:

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from pepperscene.atomic import canonical_json, check_can_write, write_files, write_json
 from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
-from pepperscene.dataset.store.atomic import canonical_json, check_can_write, write_files, write_json
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError, OutputError, short_repr
 from pepperscene.learning.class_table import ClassTable

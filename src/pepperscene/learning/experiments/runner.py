@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.dataset.store.atomic import write_json
+from pepperscene.atomic import write_json
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError
 from pepperscene.learning.evaluation.evaluate import evaluate

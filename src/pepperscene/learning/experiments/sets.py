@@ -10,17 +10,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from pepperscene.dataset.execution.build import build
-from pepperscene.dataset.execution.job import BuildOptions
+from pepperscene.atomic import digest as file_digest
+from pepperscene.building.execution.build import build
+from pepperscene.building.execution.job import BuildOptions
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.open import open_images
 from pepperscene.dataset.readers.published import published_halves
 from pepperscene.dataset.readers.several import label_targets
-from pepperscene.dataset.recipe.load import resolve_recipe
-from pepperscene.dataset.recipe.plan import Plan
-from pepperscene.dataset.recipe.recipe import digest
-from pepperscene.dataset.recipe.resolved import ResolvedRecipe
-from pepperscene.dataset.store.atomic import digest as file_digest
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.experiments.options import ExperimentOptions
 from pepperscene.learning.experiments.splits import (
@@ -29,6 +25,10 @@ from pepperscene.learning.experiments.splits import (
     real_folds,
     split_synthetic,
 )
+from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.recipe import digest
+from pepperscene.recipe.resolved import ResolvedRecipe
 
 OUTPUTS: Final = ("colour", "class")
 """Of the frames that are built: all that training and evaluation read."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.store.atomic import write_file
+from pepperscene.atomic import write_file
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.model_names import MODELS, is_built_in

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.dataset.export.splits import read_splits, shared_plants
 from pepperscene.dataset.readers.open import RenderedSet
+from pepperscene.dataset.splits import read_splits, shared_plants
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_info, read_output, read_outputs
 from pepperscene.dataset.store.frame_json import DIGITS

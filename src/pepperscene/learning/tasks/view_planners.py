@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.viewpoints.workspace import BoxWorkspace
+from pepperscene.building.viewpoints.workspace import BoxWorkspace
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera

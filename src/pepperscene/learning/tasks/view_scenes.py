@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.viewpoints.workspace import BoxWorkspace, ReachTest
 from pepperscene.camera import arc_path, look_at
-from pepperscene.dataset.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
-from pepperscene.dataset.recipe.resolved import ResolvedRecipe
-from pepperscene.dataset.scenes.frame_renderer import FrameRenderer
-from pepperscene.dataset.viewpoints.workspace import BoxWorkspace, ReachTest
 from pepperscene.errors import ArgumentError, InputError
+from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
+from pepperscene.recipe.resolved import ResolvedRecipe
 from pepperscene.truth.fruit_visibility import FruitVisibility, check_samples
 from pepperscene.truth.view_planning import view_coverage
 

@@ -11,9 +11,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.recipe.load import resolve_recipe
-from pepperscene.dataset.recipe.recipe import Recipe
-from pepperscene.dataset.recipe.resolved import ResolvedRecipe
 from pepperscene.errors import InputError
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.tasks.view_planners import (
@@ -26,6 +23,9 @@ from pepperscene.learning.tasks.view_planners import (
 from pepperscene.learning.tasks.view_scenes import ViewScene, ViewTask, covered_fraction, view_scenes
 from pepperscene.learning.tasks.voxel_planner import VoxelPlanner
 from pepperscene.learning.user_callable import user_errors
+from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolved import ResolvedRecipe
 
 FloatArray = NDArray[np.float64]
 

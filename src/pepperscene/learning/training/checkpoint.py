@@ -10,7 +10,7 @@ from typing import Any, Final
 import torch
 from torch import nn
 
-from pepperscene.dataset.store.atomic import write_file
+from pepperscene.atomic import write_file
 from pepperscene.errors import InputError, short_repr
 from pepperscene.learning.models.description import StateDescription, check_description
 from pepperscene.learning.models.trained_model import fill_module, read_weights, weights_as_bytes

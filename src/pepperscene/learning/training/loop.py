@@ -14,8 +14,8 @@ from typing import Any, Final, final
 import numpy as np
 import torch
 
+from pepperscene.atomic import remove_temporary_files, write_file
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.store.atomic import remove_temporary_files, write_file
 from pepperscene.document import parse_json
 from pepperscene.errors import ArgumentError, InputError, PepperError
 from pepperscene.learning.class_table import ClassTable

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from pepperscene.atomic import check_can_create, is_temporary, sole_writer, write_error
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.store.atomic import check_can_create, is_temporary, sole_writer, write_error
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.model_names import is_built_in

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Motion, Sensor
-from pepperscene.camera.row_strips import row_strips
-from pepperscene.camera.shutter import RowWindows
+from pepperscene.camera.sensor.row_strips import row_strips
+from pepperscene.camera.sensor.shutter import RowWindows
 from pepperscene.render.kernel.arrays import (
     WORLD,
     LocalCoordinates,

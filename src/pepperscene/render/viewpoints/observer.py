@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.camera.point_arrays import as_poses
-from pepperscene.camera.poses import check_poses
+from pepperscene.camera.poses.poses import check_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.render.kernel.arrays import local_coordinates
 from pepperscene.render.kernel.scene import truth_scene

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.colorimetry import D65_WHITE, SRGB_TO_XYZ
+from pepperscene.camera.image.colorimetry import D65_WHITE, SRGB_TO_XYZ
 from pepperscene.colour import linear_srgb_to_lab
 
 if TYPE_CHECKING:

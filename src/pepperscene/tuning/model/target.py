@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset import FrameRenderer
-from pepperscene.dataset.recipe.exposure import AUTO
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
+from pepperscene.recipe.exposure import AUTO
 from pepperscene.tuning.model.observables import observables
 from pepperscene.tuning.model.problem import NO_NEIGHBOURS, FitProblem, NeighbourEffect, Observation
 from pepperscene.tuning.model.reflectance import DirectModel
@@ -23,7 +23,7 @@ from pepperscene.tuning.parameters.tuned import TunedParts, densify_cultivar, tu
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
-    from pepperscene.dataset import Recipe
+    from pepperscene.recipe.recipe import Recipe
     from pepperscene.render import Quality
 
 Array = NDArray[np.float64]

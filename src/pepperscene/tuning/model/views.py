@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.recipe.load_camera import surface_wavelengths
-from pepperscene.dataset.recipe.plan import Stream, random_generator
 from pepperscene.errors import InputError
+from pepperscene.recipe.load_camera import surface_wavelengths
+from pepperscene.recipe.plan import Stream, random_generator
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
-    from pepperscene.dataset import Recipe
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
+    from pepperscene.recipe.recipe import Recipe
     from pepperscene.scene import Scene, Sky
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import encode_tone
-from pepperscene.camera.colorimetry import D65_WHITE, XYZ_TO_SRGB
+from pepperscene.camera.image.colorimetry import D65_WHITE, XYZ_TO_SRGB
 from pepperscene.colour import ColourStatistics, linear_srgb_to_lab
 from pepperscene.spectra import colour_science
 from pepperscene.tuning.output.provenance import fitted_entries, format_value, format_with_sd

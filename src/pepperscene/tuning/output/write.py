@@ -8,21 +8,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pepperscene.camera import load_flash
-from pepperscene.cultivar import load_cultivar
-from pepperscene.dataset import Recipe, load_recipe
-from pepperscene.dataset.recipe.load_camera import load_camera
-from pepperscene.dataset.recipe.resolved import load_recipe_cultivar
-from pepperscene.dataset.recipe.tables import NONE
-from pepperscene.dataset.store.atomic import (
+from pepperscene.atomic import (
     canonical_json,
     check_can_create,
     is_temporary,
     remove,
     write_files,
 )
+from pepperscene.camera import load_flash
+from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset.store.folder import LITTER
 from pepperscene.errors import OutputError
+from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.tables import NONE
 from pepperscene.tuning.output.figure import BeforeAfter, before_after_png
 from pepperscene.tuning.output.parts import changed_paths, cultivar_text, flash_changed, flash_files
 from pepperscene.tuning.output.provenance import RunInfo

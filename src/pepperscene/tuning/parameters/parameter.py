@@ -16,7 +16,7 @@ from pepperscene.tuning.parameters.tunables import Parameter, all_parameters
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
-    from pepperscene.dataset import Recipe
+    from pepperscene.recipe.recipe import Recipe
 
 
 def known_parameters(cultivar: Cultivar, camera: Camera) -> tuple[str, ...]:

@@ -1,0 +1,1 @@
+"""From a recipe to frames: scenes, executors and viewpoints."""

@@ -1,0 +1,182 @@
+"""The interface of executors, the units of work, and their dispatch to workers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Final
+
+from pepperscene.building.execution.job import BuildJob, FrameDone, OnFrame
+from pepperscene.errors import WorkerError
+from pepperscene.recipe.plan import Plan
+
+MAX_LOSSES: Final = 3
+"""Chosen: a frame that ends a third worker would end the next one, too."""
+
+MAX_LOSSES_ALONE: Final = 2
+"""Chosen: the same for a worker that is the only one, as no other one leaves it more memory the next time."""
+
+
+@dataclass(frozen=True)
+class WorkUnit:
+    """Frames of one scene, ascending, and the number of its set of plants."""
+
+    set: int
+    indices: tuple[int, ...]
+
+
+def work_units(plan: Plan, indices: Sequence[int], workers: int) -> list[WorkUnit]:
+    """Group ascending indices by scene; with fewer scenes than workers, scenes are divided.
+
+    Every worker that makes a part of a scene has to set it up, which takes as long as the labels of tens of
+    frames. So scenes are divided only where workers would be idle.
+    """
+    specs = [plan.frame(index) for index in indices]
+    units = [
+        WorkUnit(set_index, tuple(spec.index for spec in group))
+        for (set_index, _), group in groupby(specs, lambda spec: (spec.set, spec.rotation))
+    ]
+    while 0 < len(units) < workers:
+        longest = max(range(len(units)), key=lambda position: len(units[position].indices))
+        unit = units[longest]
+        half = -(-len(unit.indices) // 2)
+        if half == len(unit.indices):
+            break
+        parts = (unit.indices[:half], unit.indices[half:])
+        units[longest : longest + 1] = [WorkUnit(unit.set, part) for part in parts]
+    return units
+
+
+class Dispatcher:
+    """Assigns units to workers, requeues those of lost workers, and reports every frame once.
+
+    Plants of a set are grown as few times as possible: a worker stays with its set, then takes one that
+    no worker has started, then helps with the set that has most units left.
+
+    Attributes:
+        running: the unit of each worker that has one.
+        on_notice: called with a sentence for the user, such as that a worker was lost.
+    """
+
+    def __init__(
+        self, units: Iterable[WorkUnit], on_frame: OnFrame, on_notice: Callable[[str], None]
+    ) -> None:
+        self._on_frame, self.on_notice = on_frame, on_notice
+        self._pending: dict[int, deque[WorkUnit]] = {}
+        for unit in units:
+            self._pending.setdefault(unit.set, deque()).append(unit)
+        self.running: dict[Hashable, WorkUnit] = {}
+        self._last_set: dict[Hashable, int] = {}
+        self._reported: set[int] = set()
+        self._losses: Counter[int] = Counter()
+
+    def __bool__(self) -> bool:
+        """Whether a unit is pending or running."""
+        return bool(self._pending or self.running)
+
+    @property
+    def pending(self) -> int:
+        """Number of pending units."""
+        return sum(map(len, self._pending.values()))
+
+    def assign(self, worker: Hashable) -> tuple[int, ...]:
+        """Assign the next unit to a worker that has none; returns its frames, none if no unit is pending."""
+        while self._pending:
+            unit = self._remaining(self._take(worker))
+            if unit.indices:
+                self.running[worker] = unit
+                self._last_set[worker] = unit.set
+                return unit.indices
+        return ()
+
+    def report(self, done: FrameDone) -> None:
+        """Report a complete frame, unless it was: a worker that was taken for lost may go on."""
+        if done.index not in self._reported:
+            self._reported.add(done.index)
+            self._on_frame(done)
+
+    def is_complete(self, worker: Hashable) -> bool:
+        """Whether all frames of a worker's unit were reported."""
+        return not self._remaining(self.running[worker]).indices
+
+    def release(self, worker: Hashable) -> tuple[int, ...]:
+        """End a worker's unit; returns the frames that were not reported, which are pending again."""
+        unit = self._remaining(self.running.pop(worker))
+        if unit.indices:
+            self._pending.setdefault(unit.set, deque()).appendleft(unit)
+        return unit.indices
+
+    def lose(self, worker: Hashable, reason: str, *, is_only: bool = False) -> None:
+        """Requeue the unfinished frames of a lost worker.
+
+        Args:
+            worker: that was lost.
+            reason: how it was lost.
+            is_only: whether the build has no other worker, which could have taken the memory.
+
+        Raises:
+            WorkerError: its first unfinished frame has ended as many workers as are allowed.
+        """
+        frames = self.release(worker)
+        if not frames:
+            return
+        self._losses[frames[0]] += 1
+        most = MAX_LOSSES_ALONE if is_only else MAX_LOSSES
+        if self._losses[frames[0]] >= most:
+            advice = "a smaller sensor or fewer outputs" if is_only else "fewer workers"
+            raise WorkerError(
+                f"frame {frames[0]:06d} ended {most} workers, the last one {reason}; complete frames "
+                f"are kept, and the same command resumes the build: use {advice} if memory ran out"
+            )
+        self.on_notice(
+            f"a worker was lost over frame {frames[0]:06d} ({reason}); another one makes its frames"
+        )
+
+    def _take(self, worker: Hashable) -> WorkUnit:
+        last, started = self._last_set.get(worker), {*self._last_set.values()}
+        untouched = [set_index for set_index in self._pending if set_index not in started]
+        if last is not None and last in self._pending:
+            set_index, unit = last, self._pending[last].popleft()
+        elif untouched:
+            set_index, unit = untouched[0], self._pending[untouched[0]].popleft()
+        else:
+            # From the end: the workers of this set reach it last.
+            set_index = max(self._pending, key=lambda set_index: len(self._pending[set_index]))
+            unit = self._pending[set_index].pop()
+        if not self._pending[set_index]:
+            del self._pending[set_index]
+        return unit
+
+    def _remaining(self, unit: WorkUnit) -> WorkUnit:
+        return replace(unit, indices=tuple(index for index in unit.indices if index not in self._reported))
+
+
+class Executor(ABC):
+    """Makes the frames of a job."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of frames that are made at a time."""
+
+    def check_memory(self, job: BuildJob, frames: int) -> None:  # noqa: B027 - clusters check their nodes
+        """Check that frames of a job fit into the memory of this machine, if this machine makes them.
+
+        Args:
+            job: of the build.
+            frames: number of all frames.
+
+        Raises:
+            PepperError: they do not fit.
+        """
+
+    @abstractmethod
+    def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
+        """Make what is missing of all frames of a dispatcher, and report them to it, in this thread.
+
+        Raises:
+            PepperError: frames cannot be made; those that were reported are complete.
+        """

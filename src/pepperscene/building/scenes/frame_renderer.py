@@ -1,0 +1,347 @@
+"""Render frames by index: the plants of the set, the scene of the rotation, the camera of the step."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from pepperscene.building.scenes.frame_light import largest_light_reach, lit_cameras
+from pepperscene.building.scenes.near_scene import NearPlants
+from pepperscene.building.scenes.scene_builder import SceneBuilder, make_greenhouse
+from pepperscene.building.scenes.scene_worker import SceneWorker
+from pepperscene.building.scenes.surfaces import SurfaceFactory, SurfacePreparation, prepare_for_mitsuba
+from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfaces
+from pepperscene.recipe.frame_setups import FrameSetup, FrameSetups
+from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.load_camera import surface_wavelengths, white_reference
+from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.views.camera_views import CameraViews
+
+if TYPE_CHECKING:
+    from pepperscene.camera import Camera, DepthCamera, WhiteReference
+    from pepperscene.camera.image.auto_exposure import ChosenExposure, ExposureControl
+    from pepperscene.geometry import Mesh
+    from pepperscene.materials import Surface
+    from pepperscene.render import Quality
+    from pepperscene.scene import LightReach, Scene, Sky
+
+
+class SceneRenderer(Protocol):
+    """Renders views of one scene."""
+
+    def render(
+        self,
+        camera: Camera,
+        outputs: Sequence[str] = ...,
+        quality: str | Quality = ...,
+        seed: int = ...,
+        *,
+        others: Mapping[str, Camera] = ...,
+        sky: Sky | None = ...,
+        exposure_control: ExposureControl | None = ...,
+        depth_camera: DepthCamera | None = ...,
+        white_reference: WhiteReference | None = ...,
+    ) -> Frame:
+        """Render one view; the arguments after `seed` are passed only if a frame needs them."""
+
+    def meter(
+        self, camera: Camera, control: ExposureControl, seed: int, sky: Sky | None, quality: str | Quality
+    ) -> ChosenExposure:
+        """Choose the exposure of a view."""
+
+
+RendererFactory = Callable[["Scene"], SceneRenderer]
+
+
+def mitsuba_renderer(scene: Scene) -> SceneRenderer:
+    """The Mitsuba renderer of a scene, imported when first needed."""
+    from pepperscene.render import Renderer
+
+    return Renderer(scene)
+
+
+@dataclass(frozen=True, eq=False)
+class AssembledScene:
+    """A scene, and its JSON-ready statistics: remaining `contacts`, and triangles in `geometry`."""
+
+    scene: Scene
+    statistics: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _HeldScene:
+    """The scene that is held, and its renderer.
+
+    Attributes:
+        key: plants, set, rotation, and whether it has surfaces and light.
+        light: set and `FrameSetup.light`, which the scene's own sky depends on.
+    """
+
+    key: tuple[str, int, int, bool]
+    light: tuple[int, str]
+    assembled: AssembledScene
+    renderer: SceneRenderer
+
+
+class FrameRenderer:
+    """Renders the frames of a recipe in any order.
+
+    The plants of one set, the surfaces of one cultivar and the renderer of one scene are held at a time, so
+    memory does not grow with the number of frames; in ascending order of the indices each is made once.
+
+    Attributes:
+        resolved: the recipe with the files that it names; also as `recipe` and `cultivar`.
+        setups: what each frame depends on.
+        views: the cameras of the frames.
+        culled: whether triangles that affect no frame are left out of scenes; False is for comparison. Scenes
+            are never culled if views depend on the plants.
+
+    Args:
+        recipe: a recipe, its resolved form, a shipped name or a path.
+        renderer: makes the renderer of a scene; None for Mitsuba.
+        culled: see the attribute.
+        on_stage: called with the name of each stage that takes long, when it begins.
+        allow_code: whether the recipe's code may run: views of the kind "function".
+
+    Raises:
+        InputError: the recipe or a file that it names is missing or not valid.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe | ResolvedRecipe | str | Path,
+        renderer: RendererFactory | None = None,
+        *,
+        culled: bool = True,
+        on_stage: Callable[[str], None] | None = None,
+        allow_code: bool = False,
+    ) -> None:
+        self.resolved = resolve_recipe(recipe, allow_code=allow_code)
+        self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
+        self.setups = FrameSetups(self.resolved)
+        self.views = CameraViews(self.setups, lambda setup: make_greenhouse(setup.recipe.greenhouse))
+        self.culled = culled and not self.views.depends_on_scene
+        self._renderer_factory = renderer or mitsuba_renderer
+        self._near_plants = NearPlants(self.views, self._renderer_factory)
+        self._on_stage = on_stage or _ignore
+        self._builders: tuple[str, SceneBuilder] | None = None
+        self._held: _HeldScene | None = None
+        self._skies: dict[tuple[int, str, str], Sky | None] = {}
+        self._surfaces = SurfaceFactory()
+
+    def render(self, spec: FrameSpec, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
+        """Render one frame.
+
+        Args:
+            spec: the frame, from `recipe.plan.frame(index)`.
+            outputs: names from `OUTPUTS`.
+            quality: "draft", "standard", "reference", or a `Quality`.
+
+        Raises:
+            InputError: an output needs a stereo partner or a depth camera, and the recipe has none.
+        """
+        setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
+        held = self._scene_of(spec, setup, needs_surfaces(outputs))
+        scene, visible = held.assembled.scene, getattr(held.renderer, "visible_points", None)
+        others = self.views.others(spec, outputs, scene, visible)
+        camera = self.camera(spec, traced=False)
+        seed = frame_seed(self.recipe.seed, spec.index)
+        # Renderers receive further arguments only if an output needs them.
+        further: dict[str, Any] = {"others": others} if others else {}
+        if traced and held.light != (spec.set, setup.light):
+            further["sky"] = self.sky(spec)
+        if traced and setup.recipe.exposure_control is not None:
+            further["exposure_control"] = setup.recipe.exposure_control.control()
+        if DEPTH_CAMERA_OUTPUTS.intersection(outputs):
+            further["depth_camera"] = self.views.depth_camera(spec, scene, visible)
+        if "reflectance" in outputs:
+            further["white_reference"] = white_reference(setup.recipe)
+        self._on_stage(f"rendering frame {spec.index}")
+        frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
+        return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
+
+    def camera(self, spec: FrameSpec, quality: str | Quality = "standard", *, traced: bool = True) -> Camera:
+        """The camera of a frame, at its pose, with the exposure of the frame.
+
+        Args:
+            spec: the frame.
+            quality: with which the frame is rendered; an automatic exposure depends on its bounces.
+            traced: whether the camera takes photographs. Without, an automatic exposure is not metered, which
+                takes the scene with its light: the camera then has an exposure of 1 ms. Poses, intrinsics and
+                labels do not depend on it, but with a moving camera that has a rolling shutter.
+        """
+        setup = self.setups.at(spec)
+        control = setup.recipe.exposure_control if traced else None
+        if control is None and not self.views.depends_on_scene:
+            return self.views.camera(spec)
+        held = self._scene_of(spec, setup, traced=control is not None)
+        visible = getattr(held.renderer, "visible_points", None)
+        camera = self.views.camera(spec, held.assembled.scene, visible)
+        if control is None:
+            return camera
+        from pepperscene.camera.image.auto_exposure import with_exposure
+
+        # As in the frame itself.
+        seed = frame_seed(self.recipe.seed, spec.index)
+        sky = self.sky(spec)
+        return with_exposure(camera, held.renderer.meter(camera, control.control(), seed, sky, quality))
+
+    def scene(self, spec: FrameSpec, *, traced: bool = True) -> Scene:
+        """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""
+        return self.assemble(spec, traced=traced).scene
+
+    def assemble(
+        self, spec: FrameSpec, *, traced: bool = True, prepare: SurfacePreparation | None = None
+    ) -> AssembledScene:
+        """The scene of a frame, as `scene`, with its statistics.
+
+        `prepare` is called with its surfaces, if they are made beside the row.
+        """
+        from pepperscene.scene import assemble_scene
+
+        setup = self.setups.at(spec)
+        builder, others = self._builder(setup), self._frames_of_scene(spec, setup)
+        # Surfaces and sky do not depend on the row, whose contacts keep one core busy.
+        beside = SceneWorker() if traced and builder.shares_work else None
+        optics = functools.partial(self._optics, spec, setup, others)
+        with beside or nullcontext(), ThreadPoolExecutor(1) as pool:
+            pending = None
+            if beside is not None:
+                # Plants are made by two processes as well, so they come first.
+                builder.plants(spec.set, beside)
+                pending = pool.submit(optics, prepare, beside)
+            coarse_only = builder.scene(spec.set, spec.rotation)
+            key = (setup.plants, spec.set, spec.rotation)
+            near = self._near_plants.grow(key, coarse_only, builder, others)
+            built = near.built
+            mesh = self._cull(built.mesh, others) if self.culled else built.mesh
+        surfaces, sky = None, None
+        if traced:
+            surfaces, sky = optics() if pending is None else pending.result()
+        statistics = {
+            "contacts": asdict(built.contacts),
+            "geometry": {"triangles": len(mesh.faces), "of": len(built.mesh.faces)},
+        }
+        scene = assemble_scene(mesh, surfaces, sky, built.skeleton)
+        if near.coarse is not None and self.views.depends_on_scene:
+            self.views.continue_in(scene, near.views, near.coarse)
+        return AssembledScene(scene, statistics)
+
+    def sky(self, spec: FrameSpec) -> Sky | None:
+        """The daylight of a frame, or None if the recipe has none."""
+        setup = self.setups.at(spec)
+        # The crop shades the floor.
+        key = (spec.set, setup.light, setup.plants)
+        if key not in self._skies:
+            self._skies = {key: self._make_sky(spec.set, setup)}
+        return self._skies[key]
+
+    def _make_sky(self, set_index: int, setup: FrameSetup) -> Sky | None:
+        from pepperscene.scene import leaf_area_index, partly_cloudy_sky
+
+        light = setup.recipe.daylight
+        if light is None or light.illuminance_lx == 0:
+            return None
+        builder = self._builder(setup)
+        plants = [plant.mesh for plant in builder.plants(set_index)]
+        return partly_cloudy_sky(
+            random_generator(self.recipe.seed, Stream.SKY, set_index),
+            illuminance_lx=light.illuminance_lx,
+            sun_azimuth_rad=float(np.radians(light.sun_azimuth_deg)),
+            sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
+            sun_fraction=light.sun_fraction,
+            cloud_cover=light.cloud_cover,
+            cover=setup.cover,
+            leaf_area_index=leaf_area_index(plants, builder.row, builder.greenhouse),
+        )
+
+    def _builder(self, setup: FrameSetup) -> SceneBuilder:
+        """The builder of scenes with a frame's plants and greenhouse."""
+        if self._builders is None or self._builders[0] != setup.plants:
+            self._builders = setup.plants, SceneBuilder(setup.recipe, setup.cultivar)
+        return self._builders[1]
+
+    def _scene_of(self, spec: FrameSpec, setup: FrameSetup, traced: bool) -> _HeldScene:
+        """The scene of a frame with its renderer."""
+        key = (setup.plants, spec.set, spec.rotation, traced)
+        if self._held is None or self._held.key not in (key, (*key[:3], True)):
+            # Release the old scene before making the new one.
+            self._held = None
+            self._on_stage("growing plants")
+            prepare = prepare_for_mitsuba if self._renderer_factory is mitsuba_renderer else None
+            assembled = self.assemble(spec, traced=traced, prepare=prepare)
+            renderer = self._renderer_factory(assembled.scene)
+            self._held = _HeldScene(key, (spec.set, setup.light), assembled, renderer)
+        return self._held
+
+    def _frames_of_scene(self, spec: FrameSpec, setup: FrameSetup) -> list[FrameSpec]:
+        """All frames of the scene with the same plants in the same places, in the order of their indices."""
+        specs = [self.recipe.plan.frame(index) for index in self.recipe.plan.scene_indices(spec)]
+        return [other for other in specs if self.setups.at(other).plants == setup.plants]
+
+    def _cull(self, mesh: Mesh, specs: Sequence[FrameSpec]) -> Mesh:
+        """Leave out what affects no frame of a scene, by all poses and the recipe's light.
+
+        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
+        """
+        from pepperscene.scene import cull_mesh
+
+        return cull_mesh(mesh, self.views.frustums(specs), self._light_reach(specs))
+
+    def _light_reach(self, specs: Sequence[FrameSpec]) -> LightReach:
+        """The largest reach of light in any of some frames."""
+        return largest_light_reach([self.setups.at(spec) for spec in specs])
+
+    def _optics(
+        self,
+        spec: FrameSpec,
+        setup: FrameSetup,
+        specs: Sequence[FrameSpec],
+        prepare: SurfacePreparation | None = None,
+        worker: SceneWorker | None = None,
+    ) -> tuple[dict[str, Surface], Sky | None]:
+        """The surfaces of a scene over the wavelengths that any camera of its frames detects, and its sky."""
+        distinct = {other.optics: other for other in map(self.setups.at, specs)}.values()
+        cameras = [camera for other in distinct for camera in lit_cameras(other)]
+        ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
+        first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
+        surfaces = self._surfaces.surfaces(setup.cultivar, float(first), float(last), worker)
+        if worker is not None:
+            # Its memory is not needed any more, while the row is still being made.
+            worker.close()
+        if prepare is not None:
+            prepare(surfaces.values())
+        return surfaces, self.sky(spec)
+
+
+def _ignore(_: str) -> None:
+    """Callback of a caller that wants none."""
+
+
+class SceneKeeper:
+    """Makes renderers of scenes, and keeps the last scene.
+
+    Attributes:
+        scene: the last one, or None.
+
+    Args:
+        renderer: makes them; None for Mitsuba.
+    """
+
+    def __init__(self, renderer: RendererFactory | None) -> None:
+        self._renderer = renderer
+        self.scene: Scene | None = None
+
+    def __call__(self, scene: Scene) -> SceneRenderer:
+        """The renderer of a scene."""
+        self.scene = scene
+        return (self._renderer or mitsuba_renderer)(scene)

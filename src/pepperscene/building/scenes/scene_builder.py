@@ -1,0 +1,272 @@
+"""The objects of a scene, from a recipe: the plants of a set, the greenhouse, the rows beyond."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pepperscene.building.scenes.plants import (
+    MIN_SHARED_PLANTS,
+    GrownPlant,
+    PlacedPlant,
+    PlantFactory,
+    make_plants,
+    plant_processes,
+)
+from pepperscene.building.scenes.scene_worker import SceneWorker
+from pepperscene.recipe.plan import Stream, random_generator, rotate_row
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.tables import GreenhouseTable
+
+if TYPE_CHECKING:
+    from pepperscene.cultivar import Cultivar
+    from pepperscene.geometry import ContactCounts, Mesh
+    from pepperscene.scene import DoubleRow, FarRow, Greenhouse, Skeleton
+
+
+FAR_DETAIL: Final = 0.3
+"""Fineness of the plants that far rows are coarsened from. Chosen: their leaves still hang and fold."""
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltScene:
+    """The objects of a scene.
+
+    Attributes:
+        mesh: plants first, then greenhouse and far rows.
+        contacts: fruit and blades of the plants that still touch, within plants plus between them.
+        skeleton: the plants' organs, with poses as in the mesh.
+        far_rows: the plants of far rows.
+        begin: numbers of vertices, faces and instances of the mesh before the far rows.
+    """
+
+    mesh: Mesh
+    contacts: ContactCounts
+    skeleton: Skeleton
+    far_rows: tuple[FarRow, ...] = ()
+    begin: tuple[int, int, int] = (0, 0, 0)
+
+
+class SceneBuilder:
+    """Grows the sets of a recipe and places them in rows, in any order.
+
+    The plants of one set are held at a time, and reused by its rotations.
+
+    Args:
+        recipe: of the data set.
+        cultivar: of the plants.
+        processes: 1 or 2 that make the plants of a set, with the same result; None for `plant_processes()`.
+    """
+
+    def __init__(self, recipe: Recipe, cultivar: Cultivar, processes: int | None = None) -> None:
+        self.recipe = recipe
+        self.cultivar = cultivar
+        self._processes = plant_processes(processes)
+        self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
+        self._set: tuple[int, list[PlacedPlant]] | None = None
+        self._full_models: dict[int, GrownPlant] = {}
+
+    def scene(self, set_index: int, rotation: int) -> BuiltScene:
+        """Build the scene of a set at a rotation, with coarse plants in all far rows."""
+        from pepperscene.geometry import concatenate_meshes, resolve_contacts
+        from pepperscene.scene import (
+            Skeleton,
+            draw_far_rows,
+            far_row_meshes,
+            greenhouse_mesh,
+            jittered_positions,
+            place_plants,
+        )
+
+        plants, row, greenhouse, seed = self.plants(set_index), self.row, self.greenhouse, self.recipe.seed
+        ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
+
+        # Positions belong to the greenhouse, postures to the plants that rotate through the row.
+        positions = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, set_index, 0))
+        feet = np.column_stack([positions, np.full(len(positions), greenhouse.stem_base_m)])
+        turns = np.array([plant.posture.turn_rad for plant in ordered])
+        across = np.array([plant.posture.across_m for plant in ordered])
+        if self.recipe.greenhouse is not None:
+            # The back row faces the aisle behind it.
+            turns[row.front :] += np.pi
+            across[row.front :] *= -1.0
+        feet[:, 1] += across
+
+        # The row, without contacts between its plants.
+        together = place_plants([plant.mesh for plant in ordered], feet, turns)
+        rng = random_generator(seed, Stream.SETTLE, set_index, rotation, 0)
+        resolved = resolve_contacts(together, rng, between_plants=True)
+        skeleton = Skeleton(
+            tuple(plant.plant for plant in ordered),
+            tuple(len(plant.mesh.instances) for plant in ordered),
+            feet,
+            turns,
+            resolved.motions,
+        )
+
+        # Its surroundings.
+        surroundings, far_rows = greenhouse_mesh(row, greenhouse, positions), []
+        parts = [resolved.mesh, *surroundings]
+        begin = (
+            sum(len(part.vertices) for part in parts),
+            sum(len(part.faces) for part in parts),
+            sum(len(part.instances) for part in parts),
+        )
+        if greenhouse.far_rows > 0:
+            rng = random_generator(seed, Stream.FAR, 1, set_index, rotation)
+            far_rows = draw_far_rows(len(self.far_models), row, greenhouse, rng)
+            parts += far_row_meshes(self.far_models, far_rows, greenhouse.far_rows_as, begin[2])
+        mesh = concatenate_meshes(parts) if len(parts) > 1 else resolved.mesh
+        contacts = _total_contacts(resolved.contacts, plants)
+        return BuiltScene(mesh, contacts, skeleton, tuple(far_rows), begin)
+
+    def with_full_plants(self, built: BuiltScene, numbers: Collection[int]) -> BuiltScene:
+        """The scene with some plants of the far rows grown in full.
+
+        With labels they are part of the skeleton, so that their fruit have harvest truth.
+
+        Args:
+            built: of `scene`.
+            numbers: of these plants.
+        """
+        from pepperscene.geometry import concatenate_meshes
+        from pepperscene.scene import far_row_meshes
+        from pepperscene.scene.greenhouse import FarRowsAs
+
+        if not numbers:
+            return built
+        chosen = {
+            int(plant): (
+                self._full_model(int(row.choice[member])),
+                float(row.turns[member]),
+                row.bases[member],
+            )
+            for row in built.far_rows
+            for member, plant in enumerate(row.plants)
+            if plant in numbers
+        }
+        meshes = {plant: grown.mesh for plant, (grown, _, _) in chosen.items()}
+        labelled_as = self.greenhouse.far_rows_as
+        rows = far_row_meshes(self.far_models, built.far_rows, labelled_as, built.begin[2], meshes)
+        mesh = concatenate_meshes([_first_part(built.mesh, *built.begin), *rows])
+        if labelled_as != FarRowsAs.LABELS:
+            return replace(built, mesh=mesh)
+
+        # Their organs are in the order of their instances.
+        starts: dict[int, int] = {}
+        for index, item in enumerate(mesh.instances[built.begin[2] :], built.begin[2]):
+            if item.full:
+                starts.setdefault(item.plant, index)
+        old, in_full = built.skeleton, [chosen[plant] for plant in starts]
+        skeleton = replace(
+            old,
+            plants=(*old.plants, *(grown.plant for grown, _, _ in in_full)),
+            sizes=(*old.sizes, *(len(grown.mesh.instances) for grown, _, _ in in_full)),
+            bases=np.concatenate([old.bases, [base for _, _, base in in_full]]),
+            turns=np.concatenate([old.turns, [turn for _, turn, _ in in_full]]),
+            starts=(*accumulate(old.sizes[:-1], initial=0), *starts.values()),
+        )
+        return replace(built, mesh=mesh, skeleton=skeleton)
+
+    def plants(self, set_index: int, worker: SceneWorker | None = None) -> list[PlacedPlant]:
+        """The plants of a set, those of the front row first; a `worker` that helps is left open."""
+        if self._set is None or self._set[0] != set_index:
+            # Release the old plants before making new ones.
+            self._set = None
+            count = self.row.front + self.row.back
+            self._set = set_index, make_plants(self._factory, set_index, count, self._processes, worker)
+        return self._set[1]
+
+    @property
+    def shares_work(self) -> bool:
+        """Whether another process takes a part of the work: with two processes, and plants enough."""
+        return self._processes == 2 and self.row.front + self.row.back >= MIN_SHARED_PLANTS
+
+    @cached_property
+    def row(self) -> DoubleRow:
+        """The double row in metres."""
+        from pepperscene.scene import DoubleRow
+
+        row = self.recipe.row
+        return DoubleRow(
+            row.plants_front, row.plants_back, row.spacing_mm / 1e3, row.gap_mm / 1e3, row.shift_mm / 1e3
+        )
+
+    @cached_property
+    def greenhouse(self) -> Greenhouse:
+        """The greenhouse in metres and radians."""
+        return make_greenhouse(self.recipe.greenhouse)
+
+    @cached_property
+    def far_models(self) -> list[Mesh]:
+        """The coarse plants that far rows consist of, the same in every scene."""
+        from pepperscene.geometry import mesh_plant
+        from pepperscene.scene import coarsen_plant
+        from pepperscene.scene.far_rows import FAR_ROW_PLANTS
+
+        return [
+            coarsen_plant(mesh_plant(self._factory.far_plant(number, FAR_DETAIL), FAR_DETAIL))
+            for number in range(FAR_ROW_PLANTS)
+        ]
+
+    def _full_model(self, number: int) -> GrownPlant:
+        """One of these plants in full, grown when it is first needed."""
+        if number not in self._full_models:
+            self._full_models[number] = self._factory.full_far_plant(number)
+        return self._full_models[number]
+
+
+def _first_part(mesh: Mesh, vertices: int, faces: int, instances: int) -> Mesh:
+    """The first objects of a mesh."""
+    return replace(
+        mesh,
+        vertices=mesh.vertices[:vertices],
+        normals=mesh.normals[:vertices],
+        uv=mesh.uv[:vertices],
+        state=mesh.state[:vertices],
+        faces=mesh.faces[:faces],
+        face_instance=mesh.face_instance[:faces],
+        face_surface=mesh.face_surface[:faces],
+        face_appearance=mesh.face_appearance[:faces],
+        instances=mesh.instances[:instances],
+        colour=mesh.colours_of(slice(vertices)),
+    )
+
+
+def _total_contacts(between: ContactCounts, plants: Sequence[PlacedPlant]) -> ContactCounts:
+    """The contacts between plants, and those that are left within each."""
+    return replace(
+        between,
+        fruit_touching=between.fruit_touching + sum(plant.contacts.fruit_touching for plant in plants),
+        blades_touching=between.blades_touching + sum(plant.contacts.blades_touching for plant in plants),
+    )
+
+
+def make_greenhouse(table: GreenhouseTable | None) -> Greenhouse:
+    """The greenhouse of a table in metres and radians; without one, upright plants in even rows alone."""
+    from pepperscene.scene import Greenhouse
+    from pepperscene.scene.greenhouse import FarRowsAs
+
+    if table is None:
+        return Greenhouse()
+    return Greenhouse(
+        row_lean_rad=float(np.radians(table.row_lean_deg)),
+        lean_sd_rad=float(np.radians(table.lean_sd_deg)),
+        turn_sd_rad=float(np.radians(table.turn_sd_deg)),
+        spacing_sd_m=table.spacing_sd_mm / 1e3,
+        across_sd_m=table.across_sd_mm / 1e3,
+        gutter_width_m=table.gutter_width_mm / 1e3,
+        gutter_height_m=table.gutter_height_mm / 1e3,
+        floor=table.floor,
+        crop_wire_m=table.crop_wire_mm / 1e3,
+        far_rows=table.far_rows,
+        far_rows_as=FarRowsAs(table.far_rows_as),
+        far_reach_m=table.far_reach_mm / 1e3,
+        aisle_m=table.aisle_mm / 1e3,
+        pipes=table.pipes,
+    )

@@ -1,0 +1,1 @@
+"""Lenses, flash, projector, stray light inside a lens, calibration."""

@@ -1,0 +1,1 @@
+"""Poses of cameras and lists of them, paths and motion."""

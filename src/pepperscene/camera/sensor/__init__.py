@@ -1,0 +1,1 @@
+"""Sensors: bands, readout, shutter, mosaic."""

@@ -1,0 +1,277 @@
+"""COCO: instances with masks, boxes and attributes of each organ, and panoptic segments.
+
+Format: https://cocodataset.org/#format-data, and pycocotools, which reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.dataset.dataset_frame import IGNORED, REST, DatasetFrame
+from pepperscene.dataset.selection import Category
+from pepperscene.dataset.store.crop import crop_name
+from pepperscene.dataset.store.images import png_bytes
+from pepperscene.export.coco_segments import Segment, find_segments, json_mask
+from pepperscene.export.job import ExportJob
+from pepperscene.libraries import import_library
+from pepperscene.truth.keypoints import KEYPOINTS, SKELETON, fruit_keypoints
+
+_CENTRE: Final = 0.5
+"""Coordinate of the first pixel's centre here; in COCO's keypoints it is 0, and that of the last one is the
+number of pixels minus 1. Points nearer to the border than these centres are moved to them: tools that read
+COCO take others for points outside the image."""
+
+_METRE_DECIMALS: Final = 6  # as in the harvest truth
+
+_VARIATION_KEYS: Final = ("moment", "twin", "rig_camera", "drawn")
+"""Keys of a frame's JSON that only recipes with variation, twins or a rig have."""
+
+_FRUIT_KEYS: Final = ("ripeness", "length_m", "diameter_m")
+_WHOLE_KEYS: Final = ("visible_fraction", "truncated")
+
+
+def write_coco(job: ExportJob, folder: Path) -> None:
+    """Write `train/000110.png`, `annotations/instances_train.json` and `panoptic_train.json` per split.
+
+    An annotation is one organ of a plant. The rest of each class (see `DatasetFrame.segment_ids`) is one
+    annotation with `iscrowd` 1, which evaluation ignores. Category ids are class ids, of a merged category
+    the lowest one; if ripe and unripe fruit are two categories, the rest of the fruit is a crowd of both, and
+    void in panoptic images. If all frames have the output harvest, fruit get amodal masks, poses and
+    keypoints; if all have the output amodal, all organs get amodal masks.
+
+    The ignored pixels of a frame are one more annotation with `iscrowd` 1 in each category, all with the same
+    mask, because evaluation compares only within a category. In panoptic images they are 0: void.
+    """
+    annotations = folder / "annotations"
+    annotations.mkdir()
+    crop = crop_name(job.dataset.info)
+    thing_categories = [_category_record(category, crop) for category in job.selection.categories]
+    # COCO declares keypoints per category, so either all frames have them or none.
+    harvest, amodal = (bool(job.common_outputs([output])) for output in ("harvest", "amodal"))
+    background = Category("background", frozenset({int(OrganClass.BACKGROUND)}))
+    segmented = [
+        {
+            **_category_record(category, crop),
+            "isthing": int(category is not background),
+            "color": _panoptic_colour(category),
+        }
+        for category in (background, *job.selection.categories)
+    ]
+    if harvest:
+        for record, category in zip(thing_categories, job.selection.categories, strict=True):
+            if category.has_fruit:
+                record |= {"keypoints": KEYPOINTS, "skeleton": SKELETON}
+    for split, frames in job.frames_by_split():
+        images, panoptic_images = folder / split, annotations / f"panoptic_{split}"
+        images.mkdir()
+        panoptic_images.mkdir()
+        with (
+            _open_json(
+                annotations / f"instances_{split}.json", job.dataset.info, thing_categories
+            ) as instances,
+            _open_json(annotations / f"panoptic_{split}.json", job.dataset.info, segmented) as panoptic,
+        ):
+            for frame in frames:
+                ids = frame.segment_ids(job.selection)
+                segments = find_segments(frame, ids, job.selection)
+                image = _image_record(frame, ids.shape)
+                (images / image["file_name"]).write_bytes(frame.content("colour"))
+                # The three low bytes of each id are the channels of the panoptic image.
+                void = [segment.id for segment in segments if segment.is_void]
+                visible = np.where(np.isin(ids, void), 0, ids).astype("<u4", copy=False)
+                channels = visible.view(np.uint8).reshape(*ids.shape, 4)[..., :3]
+                content = png_bytes(np.ascontiguousarray(channels))
+                (panoptic_images / image["file_name"]).write_bytes(content)
+                records = _instance_records(frame, segments, ids.shape, harvest=harvest, amodal=amodal)
+                instances.add(image, records)
+                panoptic.add(image, [_panoptic_record(image, segments)])
+
+
+class _JsonFile:
+    """Writer of images and annotations; image records, a few hundred bytes each, stay in memory."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self.file, self.images, self.separator = file, list[str](), "\n"
+
+    def add(self, image: Mapping[str, Any], annotations: Iterable[Mapping[str, Any]]) -> None:
+        self.images.append(_json_line(image))
+        for annotation in annotations:
+            self.file.write(self.separator + _json_line(annotation))
+            self.separator = ",\n"
+
+
+@contextmanager
+def _open_json(
+    path: Path, info: Mapping[str, Any], categories: Sequence[Mapping[str, Any]]
+) -> Iterator[_JsonFile]:
+    """A JSON file with one record per line: `info`, `licenses`, `categories`, `annotations`, `images`."""
+    # Without a date, so that the same frames give the same bytes.
+    source = {key: info[key] for key in ("quality", "recipe_sha256", "version") if key in info}
+    description = f"pepperscene data set {info['recipe'].get('name', '')}".rstrip()
+    head = {"info": {"description": description, **source}, "licenses": [], "categories": categories}
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f'{_json_line(head)[:-1]},"annotations":[')
+        writer = _JsonFile(file)
+        yield writer
+        file.write('\n],"images":[\n' + ",\n".join(writer.images) + "\n]}\n")
+
+
+def _json_line(record: Mapping[str, Any]) -> str:
+    return json.dumps(record, separators=(",", ":"), allow_nan=False)
+
+
+def _category_record(category: Category, crop: str) -> dict[str, Any]:
+    return {"id": category.id, "name": category.name, "supercategory": crop}
+
+
+def _panoptic_colour(category: Category) -> list[int]:
+    """The class colour; half of it for unripe fruit, so that no two categories have the same colour."""
+    colour = CLASS_COLOURS[category.organ_class]
+    return [value // 2 for value in colour] if category.is_unripe else list(colour)
+
+
+def _image_record(frame: DatasetFrame, shape: tuple[int, ...]) -> dict[str, Any]:
+    height, width = shape
+    return {
+        "id": frame.index,
+        "file_name": f"{frame.name}.png",
+        "width": width,
+        "height": height,
+        **{key: frame.metadata[key] for key in ("set", "rotation", "step")},
+        **{key: frame.metadata[key] for key in _VARIATION_KEYS if key in frame.metadata},
+    }
+
+
+def _annotation_id(index: int, segment_id: int) -> int:
+    """Id of an annotation: above 0, unique in the data set, and independent of its other frames."""
+    return index * 2 * REST + segment_id
+
+
+def _instance_records(
+    frame: DatasetFrame, segments: Sequence[Segment], shape: tuple[int, ...], *, harvest: bool, amodal: bool
+) -> list[dict[str, Any]]:
+    """One annotation for each visible organ of an image `(h, w)`, and one for the rest of each class."""
+    fruit, whole_organs = frame.fruit if harvest else {}, frame.whole_organs if amodal else {}
+    visible = {segment.id for segment in segments}
+    records = []
+    for segment in segments:
+        if segment.id == IGNORED or segment.is_crowd:
+            records += _crowd_records(frame, segment, harvest)
+            continue
+        if segment.organ_class == OrganClass.BACKGROUND:
+            continue
+        record: dict[str, Any] = {
+            "id": _annotation_id(frame.index, segment.id),
+            "image_id": frame.index,
+            "category_id": segment.categories[0].id,
+            "iscrowd": 0,
+            "area": segment.area,
+            "bbox": segment.box,
+            "segmentation": segment.mask,
+        }
+        if entry := segment.entry:
+            # The parent is the annotation of the organ that this one grows out of.
+            parent = _annotation_id(frame.index, entry["parent"]) if entry["parent"] in visible else None
+            attributes = {key: entry[key] for key in ("kind", "plant", "phytomer", "far") if key in entry}
+            record["attributes"] = {**attributes, "instance": segment.id, "parent": parent}
+        if harvest and segment.categories[0].has_fruit:
+            known = fruit.get(segment.id, {})
+            record |= _keypoints(known, shape)
+            if known:
+                record["attributes"] |= _fruit_attributes(known)
+        # The harvest truth has the same mask of a fruit.
+        if segment.id in whole_organs and segment.id not in fruit:
+            record["attributes"] |= _whole_attributes(whole_organs[segment.id])
+        records.append(record)
+    return records
+
+
+def _crowd_records(frame: DatasetFrame, segment: Segment, harvest: bool) -> list[dict[str, Any]]:
+    """A crowd annotation in each category that the rest of a class, or the ignored pixels, can have."""
+    return [
+        {
+            "id": _annotation_id(frame.index, _crowd_id(segment, category)),
+            "image_id": frame.index,
+            "category_id": category.id,
+            "iscrowd": 1,
+            "area": segment.area,
+            "bbox": segment.box,
+            "segmentation": segment.mask,
+            **(_keypoints({}, (1, 1)) if harvest and category.has_fruit else {}),
+        }
+        for category in segment.categories
+    ]
+
+
+def _crowd_id(segment: Segment, category: Category) -> int:
+    """Id above those of instances for the crowd of a segment and a category, unique in its image.
+
+    A merged category can have several: ripe fruit and peduncles as one, for example, a crowd of peduncles and
+    one of fruit of unknown ripeness.
+    """
+    if segment.id == IGNORED:
+        return IGNORED + category.id
+    return REST + 16 * ((segment.organ_class - category.organ_class) % len(OrganClass)) + category.id
+
+
+def _fruit_attributes(fruit: Mapping[str, Any]) -> dict[str, Any]:
+    """Further attributes of a fruit in the harvest truth."""
+    attributes = {key: fruit[key] for key in _FRUIT_KEYS if key in fruit} | _whole_attributes(fruit)
+    amodal = attributes.pop("amodal")
+    if box := fruit.get("box_3d"):
+        attributes["distance_m"] = round(float(np.linalg.norm(box["centre"])), _METRE_DECIMALS)
+    return {**attributes, "pose": fruit["pose"], "amodal": amodal}
+
+
+def _whole_attributes(organ: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes of an organ with its hidden parts; `amodal` describes its mask without what hides it."""
+    coder = import_library("pycocotools.mask")
+    mask = coder.frPyObjects(dict(organ["amodal"]), *organ["amodal"]["size"])
+    amodal = {
+        "segmentation": json_mask(mask),
+        "area": int(coder.area(mask)),
+        "bbox": [int(value) for value in coder.toBbox(mask)],
+    }
+    return {**{key: organ[key] for key in _WHOLE_KEYS}, "amodal": amodal}
+
+
+def _keypoints(fruit: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Any]:
+    """COCO's `keypoints`, x, y and visibility of each in one list, of an entry in the harvest truth.
+
+    The `shape` (h, w) is that of the image.
+    """
+    flat: list[float] = []
+    height, width = shape
+    points = fruit_keypoints(fruit)
+    for x, y, flag in points:
+        # Zeros of a point that is unknown.
+        flat += (_coordinate(x, width), _coordinate(y, height), flag) if flag else (0, 0, 0)
+    return {"keypoints": flat, "num_keypoints": sum(flag > 0 for *_, flag in points)}
+
+
+def _coordinate(value: float, pixels: int) -> float:
+    """COCO's coordinate of a point along a side of so many pixels."""
+    return min(max(round(value - _CENTRE, 2), 0.0), pixels - 1.0)
+
+
+def _panoptic_record(image: Mapping[str, Any], segments: Sequence[Segment]) -> dict[str, Any]:
+    """Annotation of an image. The background is stuff, the rest of an organ's class a crowd."""
+    segments_info = [
+        {
+            "id": segment.id,
+            "category_id": segment.categories[0].id if segment.categories else int(OrganClass.BACKGROUND),
+            "area": segment.area,
+            "bbox": segment.box,
+            "iscrowd": int(segment.is_crowd),
+        }
+        for segment in segments
+        if not segment.is_void
+    ]
+    return {"image_id": image["id"], "file_name": image["file_name"], "segments_info": segments_info}

@@ -1,0 +1,151 @@
+"""Rerun: recordings with camera, photograph, depth, classes and boxes on a timeline, for its viewer.
+
+Format: https://rerun.io/docs/reference/types. Rerun has pinhole cameras only, so images of a distorting lens
+are resampled to the pinhole camera with the same focal lengths and principal point.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.camera import Camera
+from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, IGNORE_COLOUR, OrganClass
+from pepperscene.dataset.dataset_frame import DatasetFrame
+from pepperscene.dataset.selection import Selection
+from pepperscene.dataset.store.images import png_bytes
+from pepperscene.export.job import ExportJob
+from pepperscene.export.sequences import open_groups, sequence_groups
+from pepperscene.export.surface import MILLIMETRES, MOST_MM, read_colour, read_label, read_surface
+from pepperscene.libraries import import_library
+
+TIMELINE: Final = "frame"
+RECORDING: Final = "recording.rrd"
+_IMAGE: Final = "world/camera/image"
+_PLANE_M: Final = 0.1  # chosen: distance from the camera at which the viewer shows its image
+
+
+def write_rerun(job: ExportJob, folder: Path) -> None:
+    """Write `recording.rrd` of each sequence: a scene as one camera of one split sees it.
+
+    The timeline `frame` has the index of each frame. Depths are along the optical axis, in millimetres, 0 for
+    none. Boxes are those of the organs that are objects, numbered as in the instance image.
+    """
+    rerun = import_library("rerun")
+    name = job.dataset.info["recipe"]["name"]
+    for place, _, frames in open_groups(job, folder, sequence_groups(job)):
+        # A fixed id, so that the viewer replaces a recording that is exported again.
+        sequence = place.relative_to(folder).as_posix()
+        identity = name if sequence == "." else f"{name} {sequence}"
+        recording = rerun.RecordingStream(f"pepperscene {name}", recording_id=identity)
+        recording.save(place / RECORDING)
+        _log_constants(rerun, recording)
+        for frame in frames:
+            recording.set_time(TIMELINE, sequence=frame.index)
+            _log_frame(rerun, recording, frame, job.selection)
+        recording.flush()
+        recording.disconnect()
+
+
+def _log_constants(rerun: Any, recording: Any) -> None:
+    """Axes of the world, and names and colours of the classes."""
+    recording.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    classes = [
+        (int(organ_class), organ_class.name.lower(), CLASS_COLOURS[organ_class]) for organ_class in OrganClass
+    ]
+    classes.append((IGNORE_CLASS, "ignored", IGNORE_COLOUR))
+    recording.log("world", rerun.AnnotationContext(classes), static=True)
+
+
+def _log_frame(rerun: Any, recording: Any, frame: DatasetFrame, selection: Selection) -> None:
+    surface = read_surface(frame)
+    camera = surface.camera
+    matrix, pose = camera.intrinsics, camera.pose
+    recording.log("world/camera", rerun.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+    recording.log(
+        _IMAGE,
+        rerun.Pinhole(
+            image_from_camera=matrix,
+            resolution=[camera.width, camera.height],
+            camera_xyz=rerun.ViewCoordinates.RDF,
+            image_plane_distance=_PLANE_M,
+        ),
+    )
+    pinhole = PinholeImages(camera)
+    colour = frame.content("colour")
+    if not pinhole.is_identity:
+        colour = png_bytes(pinhole.resample_colour(read_colour(frame, surface)))
+    recording.log(f"{_IMAGE}/colour", rerun.EncodedImage(contents=colour, media_type="image/png"))
+    depth_mm = pinhole.resample(np.rint(MILLIMETRES * surface.depth_z), 0.0)
+    depth = np.where(depth_mm <= MOST_MM, depth_mm, 0.0).astype(np.uint16)
+    recording.log(f"{_IMAGE}/depth", rerun.DepthImage(depth, meter=MILLIMETRES))
+    classes = pinhole.resample(read_label(frame, "class", surface), np.uint8(0))
+    recording.log(f"{_IMAGE}/classes", rerun.SegmentationImage(classes))
+    instance = pinhole.resample(read_label(frame, "instance", surface), np.uint16(0))
+    recording.log(f"{_IMAGE}/boxes", _boxes(rerun, frame, selection, instance))
+
+
+def _boxes(rerun: Any, frame: DatasetFrame, selection: Selection, instance: NDArray[np.uint16]) -> Any:
+    """Boxes of the objects of a frame that are visible in the resampled image."""
+    from scipy.ndimage import find_objects
+
+    objects, entries = frame.objects(selection, frame.image("instance")), frame.metadata["instances"]
+    slices = find_objects(instance)
+    boxes = {value: box for value, box in enumerate(slices, start=1) if box is not None and value in objects}
+    corners = [
+        (columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+        for rows, columns in boxes.values()
+    ]
+    return rerun.Boxes2D(
+        array=np.array(corners, dtype=float).reshape(-1, 4),
+        array_format=rerun.Box2DFormat.XYWH,
+        class_ids=[entries[str(value)]["class"] for value in boxes],
+        labels=[f"{entries[str(value)]['kind']} {value}" for value in boxes],
+        show_labels=False,
+    )
+
+
+class PinholeImages:
+    """Resamples images of a camera to the pinhole camera with the same intrinsic matrix and size.
+
+    Args:
+        camera: of the images.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.is_identity = camera.lens.distortion.is_zero
+        if self.is_identity:
+            return
+        matrix, distortion = camera.intrinsics, camera.lens.distortion
+        v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+        slopes = np.stack([(u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]], axis=-1)
+        inside = np.hypot(*np.moveaxis(slopes, -1, 0)) < distortion.fold_radius
+        distorted = distortion.distort(np.where(inside[..., None], slopes, 0.0))
+        # Indices of pixels: the centre of the first one is at 0.5.
+        self._column = distorted[..., 0] * matrix[0, 0] + matrix[0, 2] - 0.5
+        self._row = distorted[..., 1] * matrix[1, 1] + matrix[1, 2] - 0.5
+        inside &= (np.rint(self._column) >= 0) & (np.rint(self._column) < camera.width)
+        self._inside = inside & (np.rint(self._row) >= 0) & (np.rint(self._row) < camera.height)
+
+    def resample(self, image: NDArray[Any], outside: Any) -> NDArray[Any]:
+        """`(h, w)` an image by the nearest pixels, with the value `outside` beyond it."""
+        if self.is_identity:
+            return image
+        result = np.full(image.shape, outside, image.dtype)
+        rows, columns = (np.rint(axis[self._inside]).astype(np.intp) for axis in (self._row, self._column))
+        result[self._inside] = image[rows, columns]
+        return result
+
+    def resample_colour(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """`(h, w, 3)` a photograph, interpolated linearly, black beyond it."""
+        from scipy.ndimage import map_coordinates
+
+        channels = [
+            map_coordinates(image[..., k].astype(float), [self._row, self._column], order=1, mode="nearest")
+            for k in range(image.shape[2])
+        ]
+        smooth = np.where(self._inside[..., None], np.stack(channels, axis=-1), 0.0)
+        return np.rint(smooth).astype(np.uint8)

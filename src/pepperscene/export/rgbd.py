@@ -1,0 +1,116 @@
+"""RGB-D sequences in the layout of TUM, with the camera as ROS describes it.
+
+Formats: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats for images, trajectories and
+associations; https://wiki.ros.org/camera_calibration_parsers and REP 104,
+https://www.ros.org/reps/rep-0104.html, for `camera_info.yaml`; REP 118,
+https://www.ros.org/reps/rep-0118.html, for depth images of 16 bits in millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from pepperscene.camera import Camera, PoseList, write_poses
+from pepperscene.camera.optics.calibration import CENTRE_OF_FIRST_PIXEL
+from pepperscene.camera.optics.distortion import MODELS
+from pepperscene.dataset.dataset_frame import DatasetFrame
+from pepperscene.errors import InputError
+from pepperscene.export.job import ExportJob
+from pepperscene.export.recorded_camera import recorded_camera
+from pepperscene.export.sequences import open_groups, sequence_groups
+from pepperscene.export.surface import read_surface
+from pepperscene.recipe.plan import Plan
+
+STEP_S: Final = 1.0
+"""Time from a step to the next. Chosen: a data set has no clock."""
+
+_IMAGES: Final = ("rgb", "depth")
+
+DepthOf = Callable[[DatasetFrame, Camera], bytes]
+"""The content of the depth image of a frame with this camera."""
+
+
+def write_rgbd(job: ExportJob, folder: Path) -> None:
+    """Write `rgb/000110.png`, `depth/000110.png`, `camera_info.yaml` and tables of times of each sequence.
+
+    A sequence is a scene as one camera of one split sees it. Its time is the step of a frame, in seconds.
+    `rgb.txt` and `depth.txt` list the images by time, `associations.txt` their pairs, and `groundtruth.txt`
+    the poses, camera to world. Depths are along the optical axis, in millimetres, 0 for none.
+    """
+    write_depths(job, folder, lambda frame, _: read_surface(frame).depth_png())
+
+
+def write_depths(job: ExportJob, folder: Path, depth_of: DepthOf) -> None:
+    """Write the files of `write_rgbd` with depth images of any kind."""
+    plan = Plan.model_validate(job.dataset.info["recipe"]["plan"])
+    for place, indices, frames in open_groups(job, folder, sequence_groups(job)):
+        times = [STEP_S * plan.frame(index).step for index in indices]
+        camera, poses = _write_images(place, frames, depth_of)
+        (place / "camera_info.yaml").write_text(_camera_info(camera), encoding="utf-8")
+        write_poses(place / "groundtruth.txt", PoseList(np.array(poses), np.array(times)), "tum")
+        _write_tables(place, times, [f"{index:06d}.png" for index in indices])
+
+
+def _write_images(place: Path, frames: Iterable[DatasetFrame], depth_of: DepthOf) -> tuple[Camera, list[Any]]:
+    """Write the images of a sequence, and return its camera and poses; the camera must be one."""
+    for name in _IMAGES:
+        (place / name).mkdir()
+    first: Camera | None = None
+    poses = []
+    for frame in frames:
+        camera = recorded_camera(frame)
+        first = first or camera
+        if _camera_info(camera) != _camera_info(first):
+            problem = "must be the same in all frames of a sequence, which has one camera_info.yaml"
+            raise InputError(frame.dataset.frame_path(frame.index), problem, key="camera")
+        (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
+        (place / "depth" / f"{frame.name}.png").write_bytes(depth_of(frame, camera))
+        poses.append(camera.pose)
+    assert first is not None  # no group is empty
+    return first, poses
+
+
+def _write_tables(place: Path, times: Sequence[float], files: Sequence[str]) -> None:
+    for name in _IMAGES:
+        rows = [f"{time:.6f} {name}/{file}" for time, file in zip(times, files, strict=True)]
+        _write_lines(place / f"{name}.txt", ["# timestamp filename", *rows])
+    pairs = [
+        f"{time:.6f} rgb/{file} {time:.6f} depth/{file}" for time, file in zip(times, files, strict=True)
+    ]
+    _write_lines(place / "associations.txt", pairs)
+
+
+def _write_lines(path: Path, lines: Sequence[str]) -> None:
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+
+def _camera_info(camera: Camera) -> str:
+    """YAML as of ROS's camera calibration parsers; the centre of the upper left pixel is at (0, 0)."""
+    distortion = camera.lens.distortion.to_json()
+    model = distortion.get("model", "plumb_bob")
+    matrix = camera.intrinsics.copy()
+    matrix[:2, 2] -= CENTRE_OF_FIRST_PIXEL
+    blocks = {
+        "camera_matrix": matrix,
+        "distortion_coefficients": np.array([[distortion[name] for name in MODELS[model]]]),
+        "rectification_matrix": np.eye(3),
+        "projection_matrix": np.hstack([matrix, np.zeros((3, 1))]),
+    }
+    lines = [f"image_width: {camera.width}", f"image_height: {camera.height}", "camera_name: camera"]
+    for name, block in blocks.items():
+        if name == "distortion_coefficients":
+            lines.append(f"distortion_model: {model}")
+        rows, columns = block.shape
+        values = ", ".join(_yaml_number(value) for value in block.ravel().tolist())
+        lines += [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: [{values}]"]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _yaml_number(value: float) -> str:
+    """All digits; with a point, without which YAML 1.1 takes 1e-05 for text."""
+    text = repr(value)
+    return text if "." in text else text.replace("e", ".0e")

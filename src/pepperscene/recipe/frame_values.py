@@ -1,0 +1,113 @@
+"""The recipe of one frame: with drawn values, the values of its twin, and the camera of the rig."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from pepperscene.document import toml_key, validate
+from pepperscene.errors import InputError
+from pepperscene.recipe.merge import merge_layer
+from pepperscene.recipe.plan import FrameSpec
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.rig import FIRST_CAMERA
+from pepperscene.recipe.variation.draws import as_json, draw_values
+from pepperscene.recipe.variation.extract import set_value
+from pepperscene.recipe.variation.varied import Key, json_value
+
+
+@dataclass(frozen=True, eq=False)
+class FrameValues:
+    """The recipe of one frame.
+
+    Attributes:
+        recipe: without variation, twins and rig.
+        drawn: the values that differ between frames, by dotted key, ready for JSON.
+    """
+
+    recipe: Recipe
+    drawn: dict[str, Any]
+
+
+def frame_values(recipe: Recipe, spec: FrameSpec) -> FrameValues:
+    """Draw the values of a frame.
+
+    Raises:
+        InputError: drawn values, each valid, are not valid together.
+    """
+    if not (recipe.variation or recipe.twins or recipe.rig):
+        return FrameValues(recipe, {})
+    draws = draw_values(recipe.variation, recipe.seed, spec)
+    twins = {dotted: values[spec.twin] for dotted, values in recipe.twins.items()}
+    changes: list[tuple[Key, Any]] = [(varied.key, value) for varied, value in draws]
+    changes += twin_changes(recipe, spec.twin)
+    where = f"{recipe.name}, frame {spec.index}"
+    drawn = as_json(draws) | {dotted: json_value(value) for dotted, value in twins.items()}
+    return FrameValues(changed_recipe(recipe, changes, where, spec.camera), drawn)
+
+
+def twin_changes(recipe: Recipe, twin: int) -> list[tuple[Key, Any]]:
+    """The values in which a twin of a recipe differs, each with its key."""
+    return [(tuple(dotted.split(".")), values[twin]) for dotted, values in recipe.twins.items()]
+
+
+def camera_name(recipe: Recipe, spec: FrameSpec) -> str:
+    """The name of a frame's camera on the rig."""
+    return recipe.rig[spec.camera - 1].name if spec.camera else FIRST_CAMERA
+
+
+def changed_recipe(recipe: Recipe, changes: Iterable[tuple[Key, Any]], where: str, camera: int = 0) -> Recipe:
+    """A recipe with other values, and a camera of its rig as the camera; without variation, twins and rig.
+
+    Raises:
+        InputError: the values are not valid together.
+    """
+    tables, changes = recipe_tables(recipe), tuple(changes)
+    try:
+        for key, value in changes:
+            _change(tables, key, value, where)
+        if camera:
+            tables = merge_layer(tables, {"camera": recipe.rig[camera - 1].camera})
+        return validate(Recipe, tables, where)
+    except InputError as error:
+        raise as_written(error, recipe, changes, camera) from None
+
+
+def _change(tables: dict[str, Any], key: Key, value: Any, where: str) -> None:
+    try:
+        set_value(tables, key, value)
+    except (KeyError, TypeError, IndexError):
+        problem = "belongs to a table that the recipe does not have"
+        raise InputError(where, problem, key=toml_key(key)) from None
+
+
+def as_written(
+    error: InputError, recipe: Recipe, changes: Iterable[tuple[Key, Any]], camera: int = 0
+) -> InputError:
+    """An error of a frame's recipe, with the key under which the recipe's file holds its value.
+
+    Args:
+        error: of the changed recipe.
+        recipe: with its rig and twins.
+        changes: of the recipe; those of twins are searched.
+        camera: number of the camera on the rig.
+    """
+    parts = error.key.split(".")
+    if camera and parts[0] == "camera" and (len(parts) == 1 or parts[1] in recipe.rig[camera - 1].camera):
+        key = ".".join(["rig", str(camera - 1), *parts[1:]])
+        return InputError(error.where, error.problem, key=key, value=error.value)
+    for changed, value in changes:
+        dotted = ".".join(map(str, changed))
+        is_twin = any(value is other for other in recipe.twins.get(dotted, ()))
+        if is_twin and (error.key == dotted or error.key.startswith(f"{dotted}.")):
+            problem = error.problem if error.key == dotted else f"{error.key} {error.problem}"
+            return InputError(error.where, problem, key=toml_key(("twins", dotted)), value=error.value)
+    return error
+
+
+def recipe_tables(recipe: Recipe) -> dict[str, Any]:
+    """A recipe's tables, with typical values for those that vary, and without expectations, twins and rig."""
+    tables = recipe.model_dump(exclude={"expect": True, "twins": True, "rig": True, "plan": {"select"}})
+    return {key: copy.deepcopy(value) for key, value in tables.items() if value is not None}

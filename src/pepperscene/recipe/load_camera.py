@@ -1,0 +1,280 @@
+"""Loading the camera of a recipe: lens, sensor, filter and flash by name, with the recipe's settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.errors import InputError
+from pepperscene.recipe.camera_tables import GENERIC_SENSOR, INTRINSICS, SIZE_KEYS, CameraTable
+from pepperscene.recipe.exposure import AUTO
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.tables import NONE, WhiteReferenceTable
+from pepperscene.recipe.views_tables import ArcViews, PathViews, PoseViews
+
+if TYPE_CHECKING:
+    from pepperscene.camera import Camera, Lens, Sensor, WhiteReference
+    from pepperscene.camera.optics.calibration import CameraCalibration
+
+
+# Of the surfaces' spectra. The step is chosen: it resolves the red edge and the pigments' bands, 20 nm wide
+# and more. The pigments' absorption coefficients end at 2500 nm.
+GRID_STEP_NM: Final = 5.0
+MAX_WAVELENGTH_NM: Final = 2500.0
+_TYPICAL_EXPOSURE_US: Final = 1000.0
+"""Placeholder until automatic exposure has set one. Chosen: only its order of magnitude matters, to decide
+what light can be neglected."""
+_LEAST_EFFICIENCY: Final = 1e-9
+"""Electrons per photon, of the most sensitive colour. Chosen: less than any dark current leaves visible, and
+far from where single precision ends."""
+
+# Of a lens that a recipe describes in numbers.
+_F_NUMBER: Final = 2.0  # chosen: camera modules of webcams, phones and depth cameras have 1.8 to 2.4
+_TRANSMITTANCE: Final = 0.9
+"""Chosen: 5 to 7 glasses or plastic lenses, coated, transmit 0.87 to 0.95."""
+
+_MOST_KEPT: Final = 64
+"""Chosen: more files than most recipes name. A cultivar takes 0.3 MB, and a recipe can vary its values in
+every frame."""
+
+Content = TypeVar("Content")
+
+
+class NamedFiles:
+    """Loads files that recipes name, and keeps the latest of them."""
+
+    def __init__(self) -> None:
+        self._contents: dict[tuple[Hashable, str], Any] = {}
+
+    def load(
+        self,
+        load: Callable[[str], Content],
+        where: str | Path,
+        key: str,
+        name: str,
+        content: Hashable | None = None,
+    ) -> Content:
+        """Load a file; if there is no such file, the error names the recipe's key.
+
+        Args:
+            load: reads a file by its name or path; the same function for all files of a kind.
+            where: name of the recipe in errors.
+            key: of the recipe.
+            name: its value.
+            content: identifies what is loaded from files of this kind; by default it is the function.
+        """
+        index = (content or load, name)
+        if index in self._contents:
+            kept: Content = self._contents[index]
+            return kept
+        try:
+            loaded = load(name)
+        except InputError as error:
+            if error.key or error.where != name:
+                raise
+            raise InputError(where, error.problem, key=key, value=name) from None
+        if len(self._contents) >= _MOST_KEPT:
+            del self._contents[next(iter(self._contents))]
+        self._contents[index] = loaded
+        return loaded
+
+
+def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Camera:
+    """Load the camera with the recipe's settings, without a pose; arguments and errors as of `load_files`."""
+    from pepperscene.camera import Camera, Developing, load_flash
+
+    where, table, files = where or recipe.name, recipe.camera, files or NamedFiles()
+    calibration = _read_calibration(table, where, files)
+    sensor = _load_sensor(table, where, calibration, files)
+    lens = _load_lens(table, where, sensor, calibration, files)
+    flash = None if table.flash == NONE else files.load(load_flash, where, "camera.flash", table.flash)
+
+    # Checks that need several parts.
+    if sensor.line_scan:
+        _check_line_scan(recipe, where, sensor)
+    if table.focus_mm is not None and table.focus_mm <= 1e3 * lens.focal_length_m:
+        problem = f"must be beyond the focal length of {lens.name}, {1e3 * lens.focal_length_m:g} mm"
+        raise InputError(where, problem, key="camera.focus_mm", value=table.focus_mm)
+    steps = recipe.developing.model_dump()
+    if steps["white_balance"] == "flash" and flash is None and sensor.pattern == "bands":
+        # Bands are not balanced, so a recipe that extends one with a flash needs no other value.
+        steps["white_balance"] = "daylight"
+    if steps["white_balance"] == "flash" and flash is None and sensor.channels > 1:
+        problem = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
+        raise InputError(where, problem, key="camera.flash", value=NONE)
+    if steps["white_balance"] == NONE:
+        steps["white_balance"] = None
+    try:
+        return Camera(
+            lens=lens,
+            sensor=sensor,
+            exposure_s=(_TYPICAL_EXPOSURE_US if table.exposure_us == AUTO else table.exposure_us) / 1e6,
+            flash=flash,
+            developing=Developing(**steps),
+            focus_m=None if table.focus_mm is None else table.focus_mm / 1e3,
+            labels_per_row=table.labels_per_row is not False,
+        )
+    except InputError as error:
+        # Errors of a lens without a file name the key of the recipe that describes it.
+        if table.lens_key == "lens" or error.where != lens.name:
+            raise
+        key = "distortion" if error.key == "distortion" and table.distortion else table.lens_key
+        raise InputError(where, error.problem, key=f"camera.{key}", value=getattr(table, key)) from None
+
+
+def _check_line_scan(recipe: Recipe, where: str | Path, sensor: Sensor) -> None:
+    """Raise `InputError` if a line scanner is not used as one."""
+    table, views, line_us = recipe.camera, recipe.views, 1e6 * sensor.line_time_s
+    is_moving = isinstance(views, PathViews | PoseViews) and views.motion
+    is_moving |= isinstance(views, ArcViews) and views.speed_mm_s is not None
+    if not is_moving:
+        kinds = "a path, timed poses, or an arc with speed_mm_s"
+        problem = f"must move the camera, as {sensor.name} is a line scanner: {kinds}"
+        raise InputError(where, problem, key="views.kind", value=views.kind)
+    if table.exposure_us == AUTO:
+        problem = f"must be a time: automatic exposure does not know the lines of {sensor.name}"
+        raise InputError(where, problem, key="camera.exposure_us", value=AUTO)
+    if table.exposure_us > line_us:
+        problem = f"must be at most {line_us:g}, the time from line to line of {sensor.name}"
+        raise InputError(where, problem, key="camera.exposure_us", value=table.exposure_us)
+    if table.labels_per_row is False:
+        problem = f"must be true, as {sensor.name} is a line scanner"
+        raise InputError(where, problem, key="camera.labels_per_row", value=False)
+
+
+def white_reference(recipe: Recipe) -> WhiteReference:
+    """The white reference of a recipe without variation."""
+    from pepperscene.camera import WhiteReference
+
+    table = recipe.white_reference or WhiteReferenceTable()
+    distance_mm = recipe.views.subject_mm if table.distance_mm is None else table.distance_mm
+    return WhiteReference(table.reflectance, distance_mm / 1e3, table.facing)
+
+
+def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
+    """Wavelengths of the surfaces' spectra, nm: the range in which the sensor is sensitive.
+
+    Raises:
+        ValueError: the sensor is sensitive nowhere, only between whole nanometres, or beyond
+            `MAX_WAVELENGTH_NM`.
+    """
+    efficiency = sensor.quantum_efficiency
+    sensitive = np.flatnonzero((efficiency.values > 0).any(axis=0))
+    if not efficiency.values.max() >= _LEAST_EFFICIENCY:
+        raise ValueError("is not sensitive at any wavelength")
+    # Light is traced on a grid of half nanometres: a line between whole ones could be missed.
+    whole_nm = np.arange(np.ceil(efficiency.wavelength_nm[0]), efficiency.wavelength_nm[-1] + 0.5)
+    if not efficiency.at(whole_nm).max(initial=0.0) >= _LEAST_EFFICIENCY:
+        raise ValueError("is not sensitive at any whole number of nanometres")
+    # The curves fall to zero at the neighbouring entries.
+    limits = [max(sensitive[0] - 1, 0), min(sensitive[-1] + 1, efficiency.wavelength_nm.size - 1)]
+    nm = efficiency.wavelength_nm[limits]
+    first, last = GRID_STEP_NM * np.floor(nm[0] / GRID_STEP_NM), GRID_STEP_NM * np.ceil(nm[1] / GRID_STEP_NM)
+    if last > MAX_WAVELENGTH_NM:
+        raise ValueError(
+            f"is sensitive up to {nm[1]:g} nm, but plant optics are known up to {MAX_WAVELENGTH_NM:g} nm only"
+        )
+    return np.arange(first, last + GRID_STEP_NM / 2, GRID_STEP_NM)
+
+
+def _read_calibration(table: CameraTable, where: str | Path, files: NamedFiles) -> CameraCalibration | None:
+    """Read the calibration file, if there is one; its image has the size of the recipe, if that has one."""
+    from pepperscene.camera.optics.calibration import read_calibration
+
+    if table.calibration is None:
+        return None
+    calibration = files.load(read_calibration, where, "camera.calibration", table.calibration)
+    for key in SIZE_KEYS:
+        size, calibrated = getattr(table, key), getattr(calibration, key)
+        if size not in (None, calibrated):
+            problem = f"must be {calibrated} as in the calibration, or left out"
+            raise InputError(where, problem, key=f"camera.{key}", value=size)
+    return calibration
+
+
+def _load_lens(
+    table: CameraTable,
+    where: str | Path,
+    sensor: Sensor,
+    calibration: CameraCalibration | None,
+    files: NamedFiles,
+) -> Lens:
+    """Load the lens, or make the thin lens that the recipe describes in numbers."""
+    from pepperscene.camera import load_lens
+    from pepperscene.camera.optics.calibration import CameraCalibration, pinhole_calibration
+
+    if table.lens_key == "lens":
+        lens = files.load(load_lens, where, "camera.lens", table.lens)
+        settings = {key: getattr(table, key) for key in ("f_number", "transmittance")}
+        return replace(lens, **{key: value for key, value in settings.items() if value is not None})
+
+    size = sensor.columns, sensor.rows
+    if table.hfov_deg is not None:
+        try:
+            calibration = pinhole_calibration(*size, table.hfov_deg)
+        except ValueError as error:
+            raise InputError(where, str(error), key="camera.hfov_deg", value=table.hfov_deg) from None
+    elif calibration is None:
+        fx, fy, cx, cy = (getattr(table, key) for key in INTRINSICS)
+        model, coefficients = table.distortion_model or "plumb_bob", table.distortion or ()
+        try:
+            calibration = CameraCalibration(*size, fx, fy, cx, cy, model, coefficients)
+        except ValueError as error:
+            key = "distortion" if "distortion" in str(error) else "fx"
+            raise InputError(where, str(error), key=f"camera.{key}", value=getattr(table, key)) from None
+    f_number = table.f_number if table.f_number is not None else _F_NUMBER
+    transmittance = table.transmittance if table.transmittance is not None else _TRANSMITTANCE
+    name = f"thin lens of camera.{table.lens_key}"
+    return calibration.lens(name, sensor.pixel_pitch_m, f_number, transmittance)
+
+
+def _load_sensor(
+    table: CameraTable, where: str | Path, calibration: CameraCalibration | None, files: NamedFiles
+) -> Sensor:
+    """Load the sensor with its settings, at the size of the image, behind its filter."""
+    from pepperscene.camera import load_filter, load_sensor
+    from pepperscene.camera.sensor.bands import describe_bands
+
+    sensor = files.load(load_sensor, where, "camera.sensor", table.sensor)
+    sensor = sensor.with_settings(bits=table.bits, gain=table.gain)
+    size = (table.width, table.height) if calibration is None else (calibration.width, calibration.height)
+    if size[0] is not None and size[1] is not None:
+        try:
+            sensor = _at_size(sensor, table.sensor, size[0], size[1])
+        except ValueError as error:
+            key = "width" if calibration is None else "calibration"
+            raise InputError(where, str(error), key=f"camera.{key}", value=getattr(table, key)) from None
+    key, name = "camera.sensor", table.sensor
+    try:
+        surface_wavelengths(sensor)
+        if table.filter != NONE:
+            key, name = "camera.filter", table.filter
+            sensor = sensor.with_filter(files.load(load_filter, where, key, name).transmittance)
+            surface_wavelengths(sensor)
+            if sensor.pattern == "bands":
+                describe_bands(sensor.quantum_efficiency)
+    except ValueError as error:
+        behind = " behind it" if key == "camera.filter" else ""
+        raise InputError(where, f"{sensor.name}{behind} {error}", key=key, value=name) from None
+    return sensor
+
+
+def _at_size(sensor: Sensor, name: str, columns: int, rows: int) -> Sensor:
+    """The sensor in the mode of an image size; the generic one has as many photosites as that needs.
+
+    Raises:
+        ValueError: the sensor has too few photosites.
+    """
+    if name != GENERIC_SENSOR:
+        return sensor.with_size(columns, rows)
+    from pepperscene.camera.sensor.sensor_files import MAX_PHOTOSITES
+
+    if columns * rows * sensor.binning**2 > MAX_PHOTOSITES:
+        allowed = f"have at most {MAX_PHOTOSITES // sensor.binning**2} pixels"
+        raise ValueError(f"an image of {columns} x {rows} pixels must {allowed}")
+    return replace(sensor, columns=columns, rows=rows)

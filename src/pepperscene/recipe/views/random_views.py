@@ -1,0 +1,323 @@
+"""Random views: poses of a camera in free space that look at an organ, within limits."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, isfinite, pi, radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.errors import ArgumentError, InputError
+from pepperscene.recipe.views.aim import aimed_rotations, directions, image_rays
+from pepperscene.recipe.views.free_space import FreeSpace
+from pepperscene.recipe.views.targets import Target, organ_target, point_target, target_instances
+from pepperscene.recipe.views_tables import RandomViews
+
+if TYPE_CHECKING:
+    from pepperscene.camera import Camera
+    from pepperscene.render.visibility import PointTest
+    from pepperscene.scene import Scene
+
+FloatArray = NDArray[np.float64]
+Point = tuple[float, float, float]
+Limits = tuple[float, float]
+"""Lowest and highest value."""
+
+_BLOCKS: Final = (4, 64)
+"""Chosen: candidates tested together, at first and at most. Usually one in two to one in ten is a view, and
+many together take less time for each."""
+_NUMBERS: Final = 7  # random numbers for each candidate
+
+
+@dataclass(frozen=True)
+class RandomViewSettings:
+    """Limits of random views; `random_view_settings` takes them from a recipe.
+
+    Attributes:
+        target: one of `FRUIT_TARGETS`, the name of an organ kind or of a class of the labelled plants, or a
+            point (x, y, z), metres.
+        distance_m: from the projection centre to the target's centroid.
+        elevation_rad: of the camera seen from the target, positive above it.
+        azimuth_rad: of the camera around the target, 0 in front of the row (at -y), positive towards +x.
+        volume_m: lowest and highest x, y and z of the projection centre; None for no limits.
+        roll_rad: rotation about the optical axis from level rows, clockwise seen from behind the camera.
+        offset: distance of the target from the image's centre, in halves of its width and height: 0 is the
+            centre, 1 the ellipse that touches the borders.
+        clearance_m: no surface is nearer to the projection centre; never less than the lens' pupil.
+        least_visibility: fraction, from 0 to 1, of what the camera would see of the target alone that is in
+            the image and not hidden.
+        attempts: candidates after which the search ends. Chosen: if one candidate in 200 is a view, the
+            default finds none in one search of 20,000.
+
+    Directions are uniform in solid angle, distances and rolls are uniform, and so are places over the area of
+    the image.
+
+    Raises:
+        ArgumentError: a limit is not finite, reversed, or outside its range.
+    """
+
+    target: str | Point
+    distance_m: Limits
+    elevation_rad: Limits
+    azimuth_rad: Limits
+    volume_m: tuple[Limits, Limits, Limits] | None
+    roll_rad: Limits
+    offset: Limits
+    clearance_m: float
+    least_visibility: float
+    attempts: int = 2000
+
+    def __post_init__(self) -> None:
+        _check_limits("distance_m", self.distance_m, 0.0, inf)
+        _check_limits("elevation_rad", self.elevation_rad, -pi / 2, pi / 2)
+        _check_limits("azimuth_rad", self.azimuth_rad, -2 * pi, 2 * pi)
+        _check_limits("roll_rad", self.roll_rad, -pi, pi)
+        _check_limits("offset", self.offset, 0.0, 1.0)
+        _check_limits("clearance_m", (self.clearance_m, self.clearance_m), 0.0, inf)
+        _check_limits("least_visibility", (self.least_visibility, self.least_visibility), 0.0, 1.0)
+        for limits in self.volume_m or ():
+            _check_limits("volume_m", limits, -inf, inf)
+        if not self.distance_m[0] > 0.0:
+            raise ArgumentError("distance_m", "must be above 0", value=list(self.distance_m))
+        if self.attempts < 1:
+            raise ArgumentError("attempts", "must be at least 1", value=self.attempts)
+        if not isinstance(self.target, str) and not np.isfinite(self.target).all():
+            raise ArgumentError("target", "must be finite", value=list(self.target))
+
+
+def random_view_settings(table: RandomViews) -> RandomViewSettings:
+    """The limits of a recipe's random views in metres and radians."""
+    target, volume = table.target, table.volume_mm
+    return RandomViewSettings(
+        target=target if isinstance(target, str) else (target[0] / 1e3, target[1] / 1e3, target[2] / 1e3),
+        distance_m=_metres(table.distance_mm),
+        elevation_rad=_radians(table.elevation_deg),
+        azimuth_rad=_radians(table.azimuth_deg),
+        volume_m=None if volume is None else (_metres(volume[0]), _metres(volume[1]), _metres(volume[2])),
+        roll_rad=_radians(table.roll_deg),
+        offset=table.offset,
+        clearance_m=table.clearance_mm / 1e3,
+        least_visibility=table.least_visibility,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RandomView:
+    """A view within all limits.
+
+    Attributes:
+        pose: `(4, 4)` camera to world, metres.
+        target_instance: index of the organ among the scene's instances; None for a point.
+        target_point: `(3,)` world metres, what the ray to the target's place in the image goes through.
+        visibility: fraction of what the camera would see of the target alone that is in the image and not
+            hidden.
+        attempts: candidates up to this one.
+    """
+
+    pose: FloatArray
+    target_instance: int | None
+    target_point: FloatArray
+    visibility: float
+    attempts: int
+
+
+def random_view(
+    settings: RandomViewSettings,
+    scene: Scene,
+    camera: Camera,
+    rng: np.random.Generator,
+    visible: PointTest,
+    free_space: FreeSpace | None = None,
+    where: str | Path = "random view",
+    *,
+    rejected: Callable[[FloatArray], bool] | None = None,
+    earlier: RandomView | None = None,
+) -> RandomView:
+    """Draw a random view of a scene.
+
+    It depends on the arguments and the generator's state alone.
+
+    Args:
+        settings: its limits.
+        scene: with all its triangles: one culled for other views lacks surfaces that this one may show.
+        camera: lens, sensor and flash; its pose does not matter.
+        rng: draws the candidates.
+        visible: `visible_points` of the scene's `Renderer`.
+        free_space: of the scene's mesh, which further views can use too; None makes it.
+        where: name of the recipe that the settings are from, for errors.
+        rejected: whether a `(4, 4)` pose shows coarse plants from near, which is a limit too.
+        earlier: a view that is kept if it is within all limits.
+
+    Raises:
+        InputError: the scene has no such target, or no candidate is within all limits.
+    """
+    search = _Search(settings, scene, camera, free_space or FreeSpace(scene.mesh), where)
+
+    def test(candidates: _Candidates, row: int, failed: str, attempts: int) -> RandomView | str:
+        """The view of a candidate, or the limit that it fails."""
+        if failed:
+            return failed
+        view = search.view(candidates, row, attempts, visible)
+        if view.visibility < settings.least_visibility:
+            return f"showed less than least_visibility = {settings.least_visibility:g} of the target"
+        if rejected is not None and rejected(view.pose):
+            return "showed a coarse plant of the far rows from near"
+        return view
+
+    if earlier is not None:
+        candidates = search.candidate(earlier)
+        kept = test(candidates, 0, search.failed_limits(candidates)[0], earlier.attempts)
+        if isinstance(kept, RandomView):
+            return kept
+    reasons: Counter[str] = Counter()
+    first, block = 0, _BLOCKS[0]
+    while first < settings.attempts:
+        # Always draw a whole block, so that the number of attempts does not change the views.
+        candidates = search.draw(block, rng).rows(slice(settings.attempts - first))
+        for row, failed in enumerate(search.failed_limits(candidates)):
+            found = test(candidates, row, failed, first + row + 1)
+            if isinstance(found, RandomView):
+                return found
+            reasons[found] += 1
+        first, block = first + block, min(2 * block, _BLOCKS[1])
+    counts = ", ".join(f"{number:,} {failed}" for failed, number in reasons.most_common())
+    raise InputError(where, f"no view found in {settings.attempts:,} attempts: {counts}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Cameras that look at targets, one entry each."""
+
+    target: list[Target]
+    pose: FloatArray  # `(n, 4, 4)` camera to world, metres
+    is_possible: NDArray[np.bool_]  # `(n,)` whether there is such a pose
+
+    def rows(self, chosen: slice) -> _Candidates:
+        """Some of the candidates."""
+        return _Candidates(self.target[chosen], self.pose[chosen], self.is_possible[chosen])
+
+
+class _Search:
+    """Draws candidates for the views of a scene, and tests what needs no rays."""
+
+    def __init__(
+        self, settings: RandomViewSettings, scene: Scene, camera: Camera, space: FreeSpace, where: str | Path
+    ) -> None:
+        self._settings, self._camera, self._space, self._mesh = settings, camera, space, scene.mesh
+        self._targets: dict[int, Target] = {}
+        if isinstance(settings.target, str):
+            self._instances = target_instances(scene, settings.target, where)
+        else:
+            self._instances = np.array([-1])
+            self._targets[-1] = point_target(settings.target)
+
+    def draw(self, count: int, rng: np.random.Generator) -> _Candidates:
+        """Draw candidates; each takes the next `_NUMBERS` random numbers, however many are drawn together."""
+        limits, numbers = self._settings, rng.random((count, _NUMBERS)).T
+        chosen = self._instances[(numbers[0] * len(self._instances)).astype(np.intp)]
+        target = [self._target(int(instance)) for instance in chosen]
+        distance = _between(limits.distance_m, numbers[1])
+        # Equal steps of the sine are equal solid angles.
+        low, high = np.sin(limits.elevation_rad).tolist()
+        elevation = np.arcsin(_between((low, high), numbers[2]))
+        azimuth, roll = _between(limits.azimuth_rad, numbers[3]), _between(limits.roll_rad, numbers[4])
+        # Equal steps of the square are equal areas.
+        offset = np.sqrt(_between((limits.offset[0] ** 2, limits.offset[1] ** 2), numbers[5]))
+        angle = 2.0 * np.pi * numbers[6]
+        rays = image_rays(self._camera, np.stack([offset * np.cos(angle), offset * np.sin(angle)], axis=1))
+
+        pose = np.tile(np.eye(4), (count, 1, 1))
+        pose[:, :3, :3], is_possible = aimed_rotations(elevation, azimuth, rays, roll)
+        points = np.array([item.point for item in target])
+        pose[:, :3, 3] = points + distance[:, None] * directions(elevation, azimuth)
+        return _Candidates(target, pose, is_possible)
+
+    def candidate(self, view: RandomView) -> _Candidates:
+        """A view as the only candidate."""
+        instance = -1 if view.target_instance is None else view.target_instance
+        return _Candidates([self._target(instance)], view.pose[None], np.array([True]))
+
+    def view(self, candidates: _Candidates, row: int, attempts: int, visible: PointTest) -> RandomView:
+        """The view of a candidate, with what is visible of its target."""
+        from pepperscene.render.visibility import visible_fraction
+
+        pose, target = candidates.pose[row], candidates.target[row]
+        visibility = visible_fraction(
+            visible,
+            self._camera.at_pose(pose),
+            target.samples,
+            target.normals,
+            closed=target.closed,
+            instance=target.instance,
+        )
+        return RandomView(pose, target.instance, target.point, visibility, attempts)
+
+    def failed_limits(self, candidates: _Candidates) -> list[str]:
+        """The first limit that each candidate fails, as the end of a sentence; "" for none."""
+        settings, flash = self._settings, self._camera.flash
+        failed = [""] * len(candidates.target)
+        lens = candidates.pose[:, :3, 3]
+        clearance_m = max(settings.clearance_m, self._camera.aperture_radius_m)
+
+        def test(passes: Callable[[NDArray[np.intp]], NDArray[np.bool_]], reason: str) -> None:
+            rows = np.array([row for row, earlier in enumerate(failed) if not earlier], dtype=np.intp)
+            if len(rows):
+                for row in rows[~passes(rows)]:
+                    failed[row] = reason
+
+        reason = "could not have the target at that place in the image with that roll"
+        test(lambda rows: candidates.is_possible[rows], reason)
+        if settings.volume_m is not None:
+            low, high = np.array(settings.volume_m, dtype=float).T
+            test(
+                lambda rows: ((low <= lens[rows]) & (lens[rows] <= high)).all(axis=1),
+                "were outside volume_mm",
+            )
+        test(lambda rows: lens[rows, 2] > 0.0, "were below the floor")
+        limit = f"clearance_mm = {1e3 * clearance_m:g}"
+        if clearance_m > settings.clearance_m:
+            limit = f"the radius of the lens' pupil, {1e3 * clearance_m:.2g} mm,"
+        reason = f"were nearer than {limit} to a surface"
+        test(lambda rows: self._space.is_free(lens[rows], clearance_m), reason)
+        test(lambda rows: ~self._space.inside(lens[rows]), "were inside an organ")
+        if flash is not None:
+            # A ball around all emitters.
+            middle = flash.emitters_m.mean(axis=0)
+            radius_m = float(np.linalg.norm(flash.emitters_m - middle, axis=1).max()) + flash.radius_m
+            place = np.append(middle, 0.0) + flash.offset_m
+            lamp = lens + candidates.pose[:, :3, :3] @ place
+            reason = f"had a surface in the flash, within {1e3 * radius_m:.0f} mm of its centre"
+            test(lambda rows: self._space.is_free(lamp[rows], radius_m), reason)
+            test(lambda rows: ~self._space.inside(lamp[rows]), "had the flash inside an organ")
+        return failed
+
+    def _target(self, instance: int) -> Target:
+        if instance not in self._targets:
+            self._targets[instance] = organ_target(self._mesh, instance, self._space)
+        return self._targets[instance]
+
+
+def _metres(limits_mm: Limits) -> Limits:
+    return limits_mm[0] / 1e3, limits_mm[1] / 1e3
+
+
+def _radians(limits_deg: Limits) -> Limits:
+    return radians(limits_deg[0]), radians(limits_deg[1])
+
+
+def _between(limits: Limits, fraction: FloatArray) -> FloatArray:
+    """Values at fractions of the way from the lowest to the highest; never outside by rounding."""
+    return np.clip(limits[0] + fraction * (limits[1] - limits[0]), *limits)
+
+
+def _check_limits(name: str, limits: Limits, least: float, most: float) -> None:
+    """Raise `ArgumentError` if limits are not finite, reversed, or outside [least, most]."""
+    low, high = limits
+    if not (isfinite(low) and isfinite(high) and least <= low <= high <= most):
+        allowed = "" if (least, most) == (-inf, inf) else f" from {least:g} to {most:g}"
+        raise ArgumentError(name, f"must be finite, the lower limit first{allowed}", value=[low, high])

@@ -1,0 +1,1 @@
+"""Check, report and preview of a data set."""

@@ -1,0 +1,199 @@
+"""The 3D view of a scene in a report: its plants, simplified, and the cameras of its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.dataset.store.fields import read_frame
+from pepperscene.dataset.store.frame_json import DIGITS
+from pepperscene.review.report.data import evenly_spaced
+from pepperscene.review.report.image_view import card_id
+from pepperscene.review.report.label_regions import colour_code
+from pepperscene.review.report.markup import Html, element, fragment, joined
+from pepperscene.review.report.packed import pack
+from pepperscene.review.report.recorded_scene import MissingSceneError, grow_row, recorded_recipe
+from pepperscene.review.report.sections import plural, swatch
+from pepperscene.review.report.three_js import three_js
+
+if TYPE_CHECKING:
+    from pepperscene.geometry import Mesh
+
+_MAX_CAMERAS: Final = 500  # chosen: more would cover each other
+_MAX_TRIANGLES: Final = 120_000  # chosen: they take 1.1 MB of the page
+_FRUSTUM_M: Final = 0.15  # chosen: depth of a camera's drawn frustum; plants are 0.4 m away
+_PER_METRE: Final = 1000  # coordinates are in whole millimetres
+_SHOWN: Final = (
+    OrganClass.LEAF, OrganClass.PEPPER, OrganClass.PEDUNCLE, OrganClass.STEM, OrganClass.SHOOT,
+)  # fmt: skip
+"""The classes of a simplified plant."""
+_BUTTONS: Final = (
+    ("nearer", "+", "Zoom in"),
+    ("farther", "−", "Zoom out"),
+    ("reset", "Reset", "Reset the view"),
+)
+"""Action, label and name of each button."""
+_HELP: Final = (
+    "Drag to rotate; drag with Shift or the right button to move; click into the view, then zoom with the "
+    "wheel. Point at a camera to see its frame. Keys in the view: arrows rotate, and move with Shift; "
+    "+ and - zoom, Home resets, N and P select the next and the previous camera."
+)
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """The 3D view of a page.
+
+    Attributes:
+        section: of the page; empty if none was asked for.
+        library: the script three.js; empty if there is nothing to draw.
+        missing: why there is no view although one was asked for; empty otherwise.
+    """
+
+    section: Html
+    library: Html
+    missing: str = ""
+
+
+NO_SCENE: Final = SceneView(Html(), Html())
+
+
+def scene_view(dataset: Dataset, shown: Sequence[int]) -> SceneView:
+    """The 3D view of the scene of the first of some frames, which the page shows.
+
+    Raises:
+        InputError: the JSON of a frame is damaged.
+    """
+    try:
+        library = three_js()
+        if library is None:
+            raise MissingSceneError("it needs three.js r140 of trimesh 4.8.3 or later")
+        return SceneView(_section(dataset, shown), library)
+    except MissingSceneError as error:
+        text = fragment("There is no 3D view: ", str(error), ".")
+        section = element("section", element("h2", "Scene"), element("p", text, class_="note"), id="scene")
+        return SceneView(section, Html(), str(error))
+
+
+def _section(dataset: Dataset, shown: Sequence[int]) -> Html:
+    resolved = recorded_recipe(dataset.info)
+    plan = resolved.recipe.plan
+    if shown[0] >= plan.count:
+        raise MissingSceneError(f"frame {shown[0]} is not in the plan of the recipe")
+    spec = plan.frame(shown[0])
+    indices = sorted(set(dataset.indices()) & set(plan.scene_indices(spec)))
+    indices = [indices[position] for position in evenly_spaced(len(indices), _MAX_CAMERAS)]
+    cameras = [camera_entry(read_frame(dataset, index), shown) for index in indices]
+    centres = np.array([camera["points"][0] for camera in cameras]) / _PER_METRE
+    organs, plants, total = organ_triangles(grow_row(resolved, spec), centres)
+    number = plural(plants, "plant") if plants == total else f"the {plants} nearest of {total} plants"
+    note = (
+        f"Set {spec.set}, rotation {spec.rotation}: {number}, simplified, and the cameras of "
+        f"{plural(len(cameras), 'frame')}. {_HELP}"
+    )
+    buttons = [
+        element("button", label, type="button", data_action=action, aria_label=name)
+        for action, label, name in _BUTTONS
+    ]
+    return element(
+        "section",
+        element("h2", "Scene"),
+        element("p", note, class_="note"),
+        element("p", joined(map(_class_switch, _SHOWN)), class_="legend organs"),
+        element("canvas", tabindex=0, role="application", aria_label="3D view of plants and cameras"),
+        element("p", *buttons, element("span", aria_live="polite", class_="status"), class_="views"),
+        id="scene",
+        data_scene=pack({"organs": organs, "cameras": cameras}),
+    )
+
+
+def camera_entry(metadata: Mapping[str, Any], shown: Collection[int]) -> dict[str, Any]:
+    """A frame's camera: `index`, the id of its `card` if it is one of those shown, and `points`.
+
+    The points are the projection centre and the upper left, upper right, lower right and lower left corners
+    of the image at `_FRUSTUM_M`, without distortion, in millimetres.
+
+    Raises:
+        MissingSceneError: its focal length is not above 0.
+    """
+    camera, index = metadata["camera"], metadata["index"]
+    if not min(camera["fx"], camera["fy"]) > 0:
+        raise MissingSceneError(f"the camera of frame {index} has no focal length above 0")
+    # Data sets of early versions do not record the size; the principal point is near the centre.
+    width = camera.get("width") or 2.0 * camera["cx"]
+    height = camera.get("height") or 2.0 * camera["cy"]
+    u, v = np.array([0.0, width, width, 0.0]), np.array([0.0, 0.0, height, height])
+    x = (u - camera["cx"]) / camera["fx"]
+    y = (v - camera["cy"]) / camera["fy"]
+    corners = _FRUSTUM_M * np.column_stack([x, y, np.ones(4)])
+    pose = np.array(camera["pose"], dtype=float)
+    points = np.vstack([np.zeros(3), corners]) @ pose[:3, :3].T + pose[:3, 3]
+    card = card_id(f"{index:0{DIGITS}d}", "a") if index in shown else None
+    return {"index": index, "card": card, "points": _whole(points).tolist()}
+
+
+def organ_triangles(
+    mesh: Mesh, centres: NDArray[np.float64]
+) -> tuple[dict[str, dict[str, list[int]]], int, int]:
+    """The triangles of simplified plants, those nearest to some points first until they are too many.
+
+    Args:
+        mesh: of a row.
+        centres: `(n, 3)` metres.
+
+    Returns:
+        By class id, `positions`: x, y and z of each vertex in millimetres, and `faces`: three vertices of
+        each triangle. Then the number of plants in it, and that of all plants.
+
+    Raises:
+        MissingSceneError: the plants have no organ of these classes.
+    """
+    from pepperscene.scene import coarsen_plant
+
+    try:
+        coarse = coarsen_plant(mesh)
+    except ValueError as error:
+        raise MissingSceneError(str(error)) from None
+    plant_of = np.array([item.plant for item in coarse.instances])[coarse.face_instance]
+    plants = np.unique(plant_of[plant_of >= 0])
+    middles = coarse.vertices[coarse.faces].mean(axis=1)
+    places = np.array([middles[plant_of == plant].mean(axis=0) for plant in plants])
+    distance = np.linalg.norm(places[:, None, :2] - centres[None, :, :2], axis=2).min(axis=1)
+    order = plants[np.argsort(distance, kind="stable")]
+    totals = np.cumsum([np.count_nonzero(plant_of == plant) for plant in order])
+    chosen = order[: max(1, int(np.count_nonzero(totals <= _MAX_TRIANGLES)))]
+    is_chosen = np.isin(plant_of, chosen)
+    organs = {}
+    for organ in _SHOWN:
+        faces = coarse.faces[is_chosen & (coarse.face_class == organ)]
+        used, renumbered = np.unique(faces, return_inverse=True)
+        if used.size:
+            positions = _whole(coarse.vertices[used].astype(float))
+            organs[str(int(organ))] = {
+                "positions": positions.ravel().tolist(),
+                "faces": renumbered.ravel().tolist(),
+            }
+    return organs, len(chosen), len(plants)
+
+
+def _whole(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Metres in whole millimetres."""
+    return np.rint(_PER_METRE * points).astype(np.int64)
+
+
+def _class_switch(organ: OrganClass) -> Html:
+    box = element(
+        "input",
+        type="checkbox",
+        name="organ",
+        value=int(organ),
+        data_colour=colour_code(CLASS_COLOURS[organ]),
+        checked="",
+    )
+    return element("label", box, swatch(organ), organ.name.lower())

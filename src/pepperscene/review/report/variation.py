@@ -1,0 +1,151 @@
+"""The section "Variation": the distributions in the recipe, and the values that were drawn."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.recipe.variation.goodness_of_fit import distinct_draws, goodness_of_fit
+from pepperscene.recipe.variation.varied import Varied, VariedChoice, VariedInTurn, VariedNumber
+from pepperscene.review.report.charts import step_chart
+from pepperscene.review.report.data import DrawnRecords, SetSummary
+from pepperscene.review.report.markup import Html, element, fragment
+from pepperscene.review.report.sections import format_percent, fraction_bars, html_table, panel, set_label
+
+_HEADS: Final = ("Value", "per", "distribution", "draws", "minimum", "median", "maximum", "p")
+_BINS: Final = 24  # chosen: as of the other charts
+_FEWEST_BINS: Final = 4  # chosen: fewer show no shape
+_MOST_BARS: Final = 20  # chosen: outcomes in a panel
+_MARGIN: Final = 0.01  # chosen: half the width of a constant's bin, over the constant
+_UNKNOWN: Final = "–"
+
+
+def variation_html(sets: Sequence[SetSummary]) -> Html:
+    """The section; empty if no set has varied values or twins."""
+    known = [(item, item.records.drawn) for item in sets if item.records and item.records.drawn is not None]
+    if not known:
+        return fragment()
+    note = (
+        "Values that differ between frames, over all frames. A value counts once for each set of plants, "
+        "scene or moment that it is drawn for. p is the probability that correct draws fit their "
+        "distribution as badly as these; it is unknown for values in turn, constants and few draws."
+    )
+    contents = [_set_html(item, drawn, named=len(sets) > 1) for item, drawn in known]
+    return element(
+        "section",
+        element("h2", "Variation"),
+        element("p", note, class_="note"),
+        *contents,
+        id="variation",
+    )
+
+
+def variation_link(section: Html) -> Html:
+    """The link to a section in the page's navigation; empty for an empty section."""
+    return element("a", "Variation", href="#variation") if section else fragment()
+
+
+def _set_html(item: SetSummary, drawn: DrawnRecords, *, named: bool) -> Html:
+    """The table and the charts of one data set."""
+    rows, panels = [], []
+    for number, varied in enumerate(drawn.variation):
+        draws = distinct_draws(varied, drawn.plan, drawn.indices, drawn.numbers[varied.name])
+        rows.append((varied.name, _cells(varied, draws)))
+        if len(draws):
+            panels.append(_chart(f"varied-{item.key}{number}", varied, draws))
+    for name, values in drawn.twins.items():
+        cells = ["twin", ", ".join(map(str, values)), *[_UNKNOWN] * 5]
+        rows.append((name, cells))
+    table = html_table("drawn", _HEADS, rows)
+    label = f"Variation of {item.name}"
+    return fragment(
+        element("h3", set_label(item)) if named else fragment(),
+        element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label),
+        element("div", *panels, class_="grid"),
+    )
+
+
+def _cells(varied: Varied, draws: NDArray[np.float64]) -> list[str]:
+    limits = [_UNKNOWN] * 3
+    if isinstance(varied, VariedNumber) and len(draws):
+        limits = [_text(varied, value) for value in (draws.min(), np.median(draws), draws.max())]
+    p = goodness_of_fit(varied, draws)
+    return [
+        varied.per, varied.describe(), f"{len(draws):,}", *limits, _UNKNOWN if p is None else f"{p:.2g}",
+    ]  # fmt: skip
+
+
+def _text(varied: VariedNumber, value: float) -> str:
+    return str(datetime.date.fromordinal(round(value))) if varied.kind == "date" else f"{value:.4g}"
+
+
+def _chart(chart_id: str, varied: Varied, draws: NDArray[np.float64]) -> Html:
+    if isinstance(varied, VariedNumber):
+        return panel(varied.name, _histogram(chart_id, varied, draws), _legend())
+    return panel(varied.name, _bars(varied, draws), _legend())
+
+
+def _legend() -> Html:
+    keys = element("span", "drawn", class_="key a"), " ", element("span", "expected", class_="key b")
+    return element("p", *keys)
+
+
+def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) -> Html:
+    """Percentage of the draws in each bin, and that of the distribution."""
+    scale, unit = (np.log10, "logarithm to base 10") if varied.logarithmic else (np.asarray, "value")
+    offset = 0.0
+    if varied.kind == "date":
+        offset = np.floor(draws.min())
+        unit = f"days after {_text(varied, offset)}"
+    edges = _bin_edges(varied, draws)
+    drawn = 100.0 * np.histogram(draws, edges)[0] / len(draws)
+    shares = np.diff(varied.cumulative(edges))
+    expected = 100.0 * shares / max(float(shares.sum()), 1e-9)
+    series = [("a", "drawn", drawn), ("b", "expected", expected)]
+    return step_chart(
+        chart_id, f"Drawn values of {varied.name}", scale(edges - offset), series, unit, "% of draws"
+    )
+
+
+def _bin_edges(varied: VariedNumber, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`(n + 1,)` edges of bins for all draws and the whole distribution."""
+    ends = varied.distribution.quantiles([0.0, 1.0])
+    if varied.logarithmic:
+        # Numbers that have no logarithm are not drawn, but a damaged record can hold them.
+        ends, draws = np.exp(ends), draws[draws > 0]
+    low = float(np.min(draws, initial=ends[0]))
+    high = float(np.max(draws, initial=ends[1]))
+    if varied.kind != "number":
+        low, high = np.floor(low) - 0.5, np.ceil(high) + 0.5
+    if low == high:
+        margin = _MARGIN * abs(low) or _MARGIN
+        return np.array([low - margin, low + margin])
+    # Few draws need wide bins; bins of integers are whole numbers wide.
+    count = int(np.clip(np.sqrt(len(draws)), _FEWEST_BINS, _BINS))
+    if varied.logarithmic:
+        return np.geomspace(low, high, count + 1)
+    edges = np.linspace(low, high, count + 1)
+    return edges if varied.kind == "number" else np.unique(np.round(edges - low)) + low
+
+
+def _bars(varied: Varied, draws: NDArray[np.float64]) -> Html:
+    """A table of outcomes with their percentages, and a bar for each."""
+    if isinstance(varied, VariedChoice):
+        outcomes, expected = varied.outcomes, np.array(varied.probabilities)
+    else:
+        assert isinstance(varied, VariedInTurn)
+        outcomes, expected = varied.values, np.full(len(varied.values), 1.0 / len(varied.values))
+    drawn = np.bincount(draws.astype(np.int64), minlength=len(outcomes)) / len(draws)
+    scale = float(max(drawn.max(), expected.max()))
+    rows = []
+    for outcome, share, expected_share in list(zip(outcomes, drawn, expected, strict=True))[:_MOST_BARS]:
+        bars = fraction_bars([("a", float(share)), ("b", float(expected_share))], scale)
+        cells = [format_percent(float(share), 1), format_percent(float(expected_share), 1), bars]
+        rows.append((str(outcome), cells))
+    table = html_table("small", ("", "drawn", "expected", ""), rows)
+    more = len(outcomes) - len(rows)
+    return fragment(table, element("p", f"and {more} more") if more else "")

@@ -1,0 +1,357 @@
+"""Labels of far rows in whole data sets: as organs, ignored, as background; exports, readers, checks."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+
+import numpy as np
+import pytest
+from data_sets import set_without_plants
+from painted_set import SIZE, Painter
+
+from pepperscene.building.execution.build import build
+from pepperscene.building.execution.job import BuildOptions
+from pepperscene.classes import IGNORE_CLASS, IGNORE_COLOUR, OrganClass
+from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.store.images import read_image
+from pepperscene.errors import InputError
+from pepperscene.export import export_dataset
+from pepperscene.frame import Frame
+from pepperscene.recipe.load import load_recipe
+from pepperscene.review.check import check_dataset
+from pepperscene.review.report import write_report
+from pepperscene.truth import class_colour, class_from_colour, class_pixel_counts
+
+FRAMES = (0, 3, 5)
+FAR_ROW = 60_002
+REGION = (slice(150, 175), slice(20, 200))
+"""Rows and columns of the ignored region, as painted."""
+
+
+class IgnoringPainter(Painter):
+    """Paints a region that is ignored, as a far row is, over what `Painter` paints."""
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+        frame = super().render(camera, ("colour", "class", "instance", "distance"), quality, seed, **others)
+        images, entries = dict(frame.images), dict(frame.metadata["instances"])
+        images["class"][REGION], images["instance"][REGION] = IGNORE_CLASS, FAR_ROW
+        images["distance"][REGION] = 2.0
+        images["class_colour"] = class_colour(images["class"])
+        counts = np.bincount(images["instance"].ravel(), minlength=65536)
+        entries = {key: {**entry, "pixels": int(counts[int(key)])} for key, entry in entries.items()}
+        entries = {key: entry for key, entry in entries.items() if entry["pixels"]}
+        area = int(counts[FAR_ROW])
+        entries[str(FAR_ROW)] = {
+            "class": IGNORE_CLASS, "kind": "far_row", "plant": -1, "phytomer": -1, "parent": 0,
+            "pixels": area, "far": True,
+        }  # fmt: skip
+        size = dict(zip(("height", "width"), SIZE, strict=True))
+        metadata = {"camera": {**frame.metadata["camera"], **size}, "instances": entries}
+        return Frame({name: images[name] for name in outputs}, metadata)
+
+
+OUTPUTS = ("colour", "class", "class_colour", "instance", "distance")
+
+
+def make_set(folder, labelled_as):
+    changes = {"greenhouse": {"far_rows_as": labelled_as}}
+    return set_without_plants(folder, FRAMES, OUTPUTS, IgnoringPainter, changes)
+
+
+@pytest.fixture(scope="module")
+def ignoring(tmp_path_factory):
+    return make_set(tmp_path_factory.mktemp("set") / "set", "ignore")
+
+
+@pytest.fixture(scope="module")
+def region():
+    mask = np.zeros(SIZE, bool)
+    mask[REGION] = True
+    return mask
+
+
+def test_ignored_pixels_are_of_no_class_in_the_json_and_survive_the_file(ignoring, region):
+    for index in FRAMES:
+        classes = ignoring.image(index, "class")
+        np.testing.assert_array_equal(classes == IGNORE_CLASS, region)
+        counts = ignoring.metadata(index)["class_pixels"]
+        assert sum(counts.values()) == classes.size - region.sum()
+        assert counts == {o.name.lower(): int((classes == o).sum()) for o in OrganClass}
+        # A viewer shows the palette's colours, those of the coloured copy.
+        from PIL import Image
+
+        with Image.open(ignoring.path(index, "class")) as image:
+            shown = np.asarray(image.convert("RGB"))
+        np.testing.assert_array_equal(shown, ignoring.image(index, "class_colour"))
+
+
+def test_colours_and_counts_of_ignored_pixels():
+    ids = np.array([[0, 7, IGNORE_CLASS]], np.uint8)
+    assert class_colour(ids)[0, 2].tolist() == list(IGNORE_COLOUR)
+    np.testing.assert_array_equal(class_from_colour(class_colour(ids)), ids)
+    assert sum(class_pixel_counts(ids).values()) == 2
+    for function in (class_colour, class_pixel_counts):
+        with pytest.raises(ValueError, match="255"):
+            function(np.array([[8]], np.uint8))
+
+
+def test_check_accepts_ignored_pixels_only_if_the_recipe_says_so(ignoring, tmp_path):
+    # Nothing is wrong but that the painted organs are not on the edges of noise.
+    assert {finding.kind for finding in check_dataset(ignoring.folder).findings} <= {"edges"}
+    other = make_set(tmp_path / "other", "labels")
+    found = check_dataset(other.folder)
+    wrong = [finding for finding in found.findings if finding.kind == "label"]
+    assert [finding.index for finding in wrong] == list(FRAMES)
+    assert "class 255" in wrong[0].problem
+    with pytest.raises(InputError, match="not 255"):
+        open_images(other.folder)[0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"greenhouse": {"far_rows_as": {"in_turn": ["labels", "ignore"]}}},
+        {"greenhouse": {}, "twins": {"greenhouse.far_rows_as": ["labels", "ignore"]}},
+    ],
+)
+def test_ignored_pixels_of_some_frames_are_accepted(tmp_path, region, changes):
+    dataset = set_without_plants(tmp_path / "set", [0], OUTPUTS, IgnoringPainter, changes)
+    assert {finding.kind for finding in check_dataset(dataset.folder).findings} <= {"edges"}
+    np.testing.assert_array_equal(open_images(dataset.folder)[0].classes == IGNORE_CLASS, region)
+
+
+def test_readers_give_ignored_pixels_the_class_that_losses_leave_out(ignoring, region):
+    for image in open_images(ignoring.folder):
+        np.testing.assert_array_equal(image.classes == IGNORE_CLASS, region)
+
+
+def test_torch_leaves_ignored_pixels_out_of_a_loss(ignoring, region):
+    torch = pytest.importorskip("torch")
+    from pepperscene.dataset.readers.torch_images import torch_images
+
+    mask = torch_images(ignoring.folder)[0]["mask"]
+    logits = torch.zeros(1, len(OrganClass), *SIZE)
+    before = torch.nn.functional.cross_entropy(logits, mask[None], ignore_index=IGNORE_CLASS)
+    logits[:, 3, torch.from_numpy(region)] = 50.0
+    after = torch.nn.functional.cross_entropy(logits, mask[None], ignore_index=IGNORE_CLASS)
+    assert after == before == pytest.approx(np.log(len(OrganClass)))
+
+
+@pytest.fixture(scope="module")
+def coco(ignoring, tmp_path_factory):
+    pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
+    return export_dataset(ignoring.folder, "coco", tmp_path_factory.mktemp("coco") / "out").folder
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+def test_coco_evaluation_ignores_detections_of_any_class_in_ignored_pixels(coco, region):
+    from pycocotools import mask as mask_tools
+    from pycocotools.coco import COCO
+    from pycocotools.cocoeval import COCOeval
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        truth = COCO(coco / "annotations" / "instances_train.json")
+    ids = [annotation["id"] for annotation in truth.dataset["annotations"]]
+    assert len(set(ids)) == len(ids)
+    crowds = [one for one in truth.anns.values() if one["iscrowd"] and one["area"] == region.sum()]
+    assert len(crowds) == len(FRAMES) * (len(OrganClass) - 1)
+    for crowd in crowds:
+        np.testing.assert_array_equal(truth.annToMask(crowd).astype(bool), region)
+        assert crowd["bbox"] == [20, 150, 180, 25]
+    assert {one["category_id"] for one in crowds} == {*range(1, len(OrganClass))}
+
+    def precision(further):
+        kept = ("image_id", "category_id", "segmentation", "bbox")
+        good = [
+            {**{key: one[key] for key in kept}, "score": 0.5}
+            for one in truth.anns.values()
+            if not one["iscrowd"]
+        ]
+        with contextlib.redirect_stdout(io.StringIO()):
+            evaluation = COCOeval(truth, truth.loadRes(good + further), "segm")
+            evaluation.params.maxDets = [1, 100, 1000]
+            evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0, 1e10]], ["all"]
+            evaluation.evaluate()
+            evaluation.accumulate()
+        values = evaluation.eval["precision"][..., 0, -1]
+        return values[values > -1]
+
+    def detections(row):
+        mask = np.zeros(SIZE, np.uint8, order="F")
+        mask[row : row + 10, 40:60] = 1
+        code = mask_tools.encode(mask)
+        return [
+            {"image_id": index, "category_id": int(organ), "segmentation": code,
+             "bbox": [40, row, 20, 10], "score": 0.9}
+            for index in FRAMES for organ in OrganClass if organ
+        ]  # fmt: skip
+
+    assert precision(detections(155)) == pytest.approx(1, abs=1e-15)
+    # The same detections elsewhere are wrong.
+    assert precision(detections(90)).mean() < 0.9
+
+
+@pytest.mark.parametrize("classes", [None, "pepper"])
+def test_ignored_pixels_of_a_coco_export_are_read_as_void(ignoring, region, tmp_path, classes):
+    pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
+    out = export_dataset(ignoring.folder, "coco", tmp_path / "out", classes=classes).folder
+    for image in open_images(out):
+        truth = ignoring.image(int(image.name), "class")
+        # With fewer classes, the rest of the image may be of any of the others.
+        expected = truth if classes is None else np.where(truth == OrganClass.PEPPER, truth, IGNORE_CLASS)
+        np.testing.assert_array_equal(image.classes, expected)
+        assert not image.instances[region].any()
+
+
+def test_ignored_pixels_are_void_in_panoptic_images(coco, region):
+    panoptic = json.loads((coco / "annotations" / "panoptic_train.json").read_text())
+    for record in panoptic["annotations"]:
+        image = read_image(coco / "annotations" / "panoptic_train" / record["file_name"]).astype(np.uint32)
+        ids = image @ np.array([1, 256, 65536], np.uint32)
+        np.testing.assert_array_equal(ids == 0, region)
+        assert {*np.unique(ids).tolist()} - {0} == {one["id"] for one in record["segments_info"]}
+
+
+def test_yolo_writes_masks_of_ignored_pixels_and_no_objects_there(ignoring, region, tmp_path):
+    pytest.importorskip("cv2")
+    out = export_dataset(ignoring.folder, "yolo", tmp_path / "out").folder
+    for index in FRAMES:
+        mask = read_image(out / "ignore" / "train" / f"{index:06d}.png")
+        np.testing.assert_array_equal(mask, np.where(region, 255, 0))
+        for line in (out / "labels" / "train" / f"{index:06d}.txt").read_text().splitlines():
+            x, y = np.array(line.split()[1:], float).reshape(-1, 2).T
+            columns, rows = (x * SIZE[1]).astype(int), (y * SIZE[0]).astype(int)
+            assert not region[rows, columns].any()
+
+
+def test_boxes_come_with_masks_of_ignored_pixels_too(ignoring, region, tmp_path):
+    out = export_dataset(ignoring.folder, "yolo_detect", tmp_path / "out").folder
+    for index in FRAMES:
+        mask = read_image(out / "ignore" / "train" / f"{index:06d}.png")
+        np.testing.assert_array_equal(mask, np.where(region, 255, 0))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"classes": "other=background+leaf,fruit=pepper"}, {"smallest_px": 9}]
+)
+def test_semantic_masks_ignore_them(ignoring, region, tmp_path, options):
+    out = export_dataset(ignoring.folder, "semantic", tmp_path / "out", **options).folder
+    for index in FRAMES:
+        mask = read_image(out / "masks" / "train" / f"{index:06d}.png")
+        assert (mask[region] == IGNORE_CLASS).all()
+        if not options:
+            np.testing.assert_array_equal(mask, ignoring.image(index, "class"))
+
+
+def test_yolo_has_no_masks_without_ignored_pixels(painted, tmp_path):
+    pytest.importorskip("cv2")
+    out = export_dataset(painted.folder, "yolo", tmp_path / "out").folder
+    assert not (out / "ignore").exists()
+
+
+def test_hugging_face_has_no_class_for_ignored_instances(ignoring, region, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    from PIL import Image
+
+    out = export_dataset(ignoring.folder, "huggingface", tmp_path / "out").folder
+    (file,) = out.rglob("*.parquet")
+    for row in parquet.read_table(file).to_pylist():
+        with Image.open(io.BytesIO(row["mask"]["bytes"])) as image:
+            np.testing.assert_array_equal(np.asarray(image) == IGNORE_CLASS, region)
+        far = [organ for organ in row["organs"] if organ["far"]]
+        assert [(organ["instance"], organ["class"]) for organ in far] == [(FAR_ROW, None)]
+        assert all(organ["class"] is not None for organ in row["organs"] if not organ["far"])
+
+
+@pytest.mark.parametrize("name", ["webdataset", "published"])
+def test_other_formats_keep_the_class_id(ignoring, region, tmp_path, name):
+    out = export_dataset(ignoring.folder, name, tmp_path / "out").folder
+    if name == "published":
+        classes = open_images(out)[0].classes
+    else:
+        import gzip
+        import tarfile
+
+        with tarfile.open(out / "train-000000.tar") as tar:
+            member = next(one for one in tar.getnames() if one.endswith("class.npy.gz"))
+            classes = np.load(io.BytesIO(gzip.decompress(tar.extractfile(member).read())))
+    np.testing.assert_array_equal(classes == IGNORE_CLASS, region)
+
+
+def test_the_report_names_ignored_pixels_if_the_recipe_has_them(ignoring, painted, tmp_path):
+    for dataset, expected in ((ignoring, True), (painted, False)):
+        folder = shutil.copytree(dataset.folder, tmp_path / dataset.folder.parent.name)
+        page = write_report(folder).page.read_text()
+        assert (">ignored<" in page) == expected
+
+
+def test_an_unknown_value_is_refused():
+    with pytest.raises(InputError, match=r"far_rows_as.*'labels', 'ignore' or 'background'"):
+        load_recipe("greenhouse", {"greenhouse.far_rows_as": "organs"})
+
+
+SMALL = {
+    "plan.sets": 1, "plan.rotations": 1, "plan.frames": 1, "plan.select": [0],
+    "row.plants_front": 3, "row.plants_back": 2, "greenhouse.far_rows": 1, "greenhouse.far_reach_mm": 2500,
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_fruit_of_far_rows_are_labelled_in_a_daylight_photograph(tmp_path):
+    sets = {}
+    for labelled_as in ("labels", "ignore", "background"):
+        recipe = load_recipe("greenhouse", {**SMALL, "greenhouse.far_rows_as": labelled_as})
+        outputs = ["class", "instance", "distance", "coverage"]
+        # Light does not depend on labels: the photograph with ignored rows is left out to save time.
+        outputs += ["colour", "harvest"] if labelled_as != "ignore" else []
+        options = BuildOptions(quality="draft")
+        sets[labelled_as] = build(recipe, tmp_path / labelled_as, [0], outputs, options).dataset
+        kinds = {finding.kind for finding in check_dataset(sets[labelled_as].folder).findings}
+        assert kinds <= {"drift"}, labelled_as
+    distances = [one.path(0, "distance").read_bytes() for one in sets.values()]
+    assert distances == distances[:1] * 3
+    assert sets["labels"].path(0, "colour").read_bytes() == sets["background"].path(0, "colour").read_bytes()
+
+    # Ripe fruit is yellow to red: hardly any of its pixels is left without a label.
+    colour = sets["labels"].image(0, "colour").astype(int)
+    red, green, blue = np.moveaxis(colour, -1, 0)
+    is_red = (red >= 60) & (red >= 1.2 * green) & (red >= 2 * blue)
+    shares = {
+        labelled_as: (one.image(0, "class")[is_red] == OrganClass.BACKGROUND).mean()
+        for labelled_as, one in sets.items()
+    }
+    assert is_red.sum() > 500
+    assert shares["background"] > 0.05
+    assert shares["labels"] < 0.005
+    assert shares["ignore"] < 0.005
+
+    # Far fruit have a class, an instance and a box, and the near organs are what they were.
+    classes, instance = (sets["labels"].image(0, name) for name in ("class", "instance"))
+    entries = sets["labels"].metadata(0)["instances"]
+    # Plants of far rows that the camera comes near to are grown in full, and are not marked as far.
+    own_plants = SMALL["row.plants_front"] + SMALL["row.plants_back"]
+    far = {int(key): entry for key, entry in entries.items() if entry["plant"] >= own_plants}
+    coarse = {int(key) for key, entry in entries.items() if entry.get("far")}
+    assert coarse < set(far)
+    fruit = [key for key, entry in far.items() if entry["class"] == OrganClass.PEPPER]
+    assert len(fruit) > 10
+    for key in fruit:
+        rows, columns = np.nonzero(instance == key)
+        assert far[key]["box"] == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        assert far[key]["pixels"] == rows.size
+        assert (classes[rows, columns] == OrganClass.PEPPER).all()
+    before = sets["background"].metadata(0)["instances"]
+    near = {key: entry for key, entry in entries.items() if int(key) not in far}
+    assert near == {key: entry for key, entry in before.items() if entry["kind"] != "far_row"}
+    is_far = np.isin(instance, list(far))
+    np.testing.assert_array_equal(classes[~is_far], sets["background"].image(0, "class")[~is_far])
+    np.testing.assert_array_equal(sets["ignore"].image(0, "class") == IGNORE_CLASS, is_far)
+    # The harvest truth is that of plants that are grown in full.
+    assert {one["instance"] for one in sets["labels"].image(0, "harvest")["fruit"]}.isdisjoint(coarse)
+    # Nothing is lost of the pixels' area but what is ignored.
+    areas = {name: one.image(0, "coverage").astype(float).sum() for name, one in sets.items()}
+    assert areas["labels"] == areas["background"] == classes.size
+    assert classes.size - areas["ignore"] == pytest.approx(is_far.sum(), rel=0.02)

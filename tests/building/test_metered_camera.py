@@ -1,0 +1,49 @@
+"""The camera of a frame with automatic exposure, outside its frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pepperscene import FrameRenderer, load_recipe, render_scene
+from pepperscene.errors import InputError
+from pepperscene.recipe.plan import frame_seed
+
+CHANGES = {
+    "row.plants_front": 1,
+    "row.plants_back": 0,
+    "camera.width": 64,
+    "camera.height": 48,
+    "camera.exposure_us": "auto",
+    "auto_exposure.target_grey": 60.0,
+}
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return FrameRenderer(load_recipe("barth2018", CHANGES))
+
+
+def test_camera_of_a_frame_has_its_metered_exposure(renderer):
+    spec = renderer.recipe.plan.frame(125)
+    frame, camera = renderer.render(spec, ["colour"], "draft"), renderer.camera(spec, "draft")
+    described = frame.metadata["camera"]
+    assert (camera.exposure_s, camera.sensor.gain) == (described["exposure_s"], described["gain"])
+    # The same image without a frame renderer.
+    seed = frame_seed(renderer.recipe.seed, spec.index)
+    again = render_scene(renderer.scene(spec), camera, ["colour"], "draft", seed)
+    assert np.array_equal(again["colour"], frame["colour"])
+    assert frame.metadata["auto_exposure"]["limited_by"] is None
+
+
+def test_camera_without_photographs_is_not_metered(renderer):
+    spec = renderer.recipe.plan.frame(126)
+    untraced = renderer.camera(spec, traced=False)
+    assert np.array_equal(untraced.pose, renderer.camera(spec, "draft").pose)
+
+
+def test_colours_are_not_tuned_at_an_unknown_exposure():
+    from pepperscene.tuning.model.target import TuningTarget
+
+    with pytest.raises(InputError, match=r"camera\.exposure_us = 'auto': must be a time"):
+        TuningTarget(load_recipe("barth2018", CHANGES), None)

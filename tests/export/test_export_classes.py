@@ -1,0 +1,296 @@
+"""Classes of an export: chosen, merged, renamed, divided by ripeness; organs at the image border; crops."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from label_set import (
+    FRAMES,
+    MAPPING,
+    NAMES,
+    box_of,
+    edit_json,
+    expected_name,
+    expected_objects,
+    export,
+    fruit_truth,
+    read_yolo,
+)
+from typer.testing import CliRunner
+
+from pepperscene.classes import OrganClass, parse_class_mapping
+from pepperscene.cli import app
+from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.selection import parse_categories
+from pepperscene.dataset.store.crop import fruit_name
+from pepperscene.errors import ArgumentError
+from pepperscene.learning.class_table import ClassTable
+
+mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+
+def load_coco(folder):
+    return json.loads((folder / "annotations" / "instances_train.json").read_text())
+
+
+def check_coco(dataset, folder):
+    """Every object has its mask and its class, and every other pixel of these classes is a crowd."""
+    content = load_coco(folder)
+    names = {one["id"]: one["name"] for one in content["categories"]}
+    assert tuple(names.values()) == NAMES
+    assert len({one["id"] for one in content["annotations"]}) == len(content["annotations"])
+    for index in dataset.indices():
+        records = [one for one in content["annotations"] if one["image_id"] == index]
+        objects = {one["attributes"]["instance"]: one for one in records if not one["iscrowd"]}
+        expected = expected_objects(dataset, index)
+        assert objects.keys() == expected.keys()
+        for value, (name, mask) in expected.items():
+            found = mask_tools.decode(objects[value]["segmentation"]).astype(bool)
+            assert (found == mask).all(), f"the mask of {value}"
+            assert names[objects[value]["category_id"]] == name, f"the class of {value}"
+            assert objects[value]["bbox"] == box_of(mask)
+
+
+def test_coco_has_the_classes_of_the_mapping(labels, tmp_path):
+    folder = export(labels, "coco", tmp_path / "out", classes=MAPPING)
+    assert [one["id"] for one in load_coco(folder)["categories"]] == [2, 8, 3, 1]
+    check_coco(labels, folder)
+
+
+def move_mask(content):
+    """Move one mask by a pixel."""
+    record = max((one for one in content["annotations"] if not one["iscrowd"]), key=lambda one: one["area"])
+    mask = np.roll(mask_tools.decode(record["segmentation"]), 1, axis=1)
+    moved = mask_tools.encode(np.asfortranarray(mask))
+    record["segmentation"]["counts"] = moved["counts"].decode()
+
+
+def swap_class(content):
+    record = next(one for one in content["annotations"] if one["category_id"] == 8 and not one["iscrowd"])
+    record["category_id"] = 2
+
+
+@pytest.mark.parametrize(("fault", "message"), [(move_mask, "the mask of"), (swap_class, "the class of")])
+def test_planted_faults_are_found(fault, message, labels, tmp_path):
+    folder = export(labels, "coco", tmp_path / "out", classes=MAPPING)
+    edit_json(folder / "annotations" / "instances_train.json", fault)
+    with pytest.raises(AssertionError, match=message):
+        check_coco(labels, folder)
+
+
+def test_fruit_of_unknown_ripeness_is_a_crowd_and_void(labels, tmp_path):
+    folder = export(labels, "coco", tmp_path / "out", classes="ripe=pepper.ripe")
+    content = load_coco(folder)
+    panoptic = json.loads((folder / "annotations" / "panoptic_train.json").read_text())
+    for index, record in zip(FRAMES, panoptic["annotations"], strict=True):
+        instance, truth = labels.image(index, "instance"), fruit_truth(labels, index)
+        entries = {int(key): one for key, one in labels.metadata(index)["instances"].items()}
+        names = {value: expected_name(one, truth.get(value)) for value, one in entries.items()}
+        unknown = np.isin(instance, [value for value, name in names.items() if name == "?"])
+        assert unknown.any()
+        (crowd,) = [one for one in content["annotations"] if one["image_id"] == index and one["iscrowd"]]
+        assert (mask_tools.decode(crowd["segmentation"]).astype(bool) == unknown).all()
+        # Unripe fruit is known to be none of the class: background.
+        ids = {one["id"] for one in record["segments_info"]}
+        assert ids - {65536} == {value for value, name in names.items() if name == "ripe"}
+        assert sum(one["area"] for one in record["segments_info"]) == np.count_nonzero(~unknown)
+
+
+def test_rests_of_a_merged_class_are_one_segment(labels, tmp_path):
+    """A reader of panoptic segments keeps one crowd of each category."""
+    folder = export(labels, "coco", tmp_path / "out", classes="stalk=peduncle+stem", smallest_px=10_000)
+    panoptic = json.loads((folder / "annotations" / "panoptic_train.json").read_text())
+    for record in panoptic["annotations"]:
+        assert [(one["id"], one["category_id"]) for one in record["segments_info"]] == [
+            (65536, 0),
+            (65536 + OrganClass.PEDUNCLE, 3),
+        ]
+
+
+@pytest.mark.parametrize(
+    ("classes", "fruit", "organs"),
+    [
+        ("a=pepper.unripe+peduncle,b=pepper.ripe+leaf", {"ripe", "green", "?"}, {"a": 3, "b": 1}),
+        ("a=pepper.ripe+peduncle,b=leaf", {"ripe", "?"}, {"a": 3, "b": 1}),
+    ],
+)
+def test_crowds_of_merged_and_divided_classes(classes, fruit, organs, labels, tmp_path):
+    """Without objects, a crowd of each category covers all that may be of it; ids are unique."""
+    content = load_coco(export(labels, "coco", tmp_path / "out", classes=classes, smallest_px=10_000))
+    ids = [one["id"] for one in content["annotations"]]
+    assert len(set(ids)) == len(ids) > 0
+    names = {one["id"]: one["name"] for one in content["categories"]}
+    for index in FRAMES:
+        instance, truth = labels.image(index, "instance"), fruit_truth(labels, index)
+        entries = {int(key): one for key, one in labels.metadata(index)["instances"].items()}
+        for name, organ in organs.items():
+            # Fruit of a category that has none is left out: b in the second mapping.
+            is_fruity = f"{name}=pepper" in classes
+            expected = [
+                value
+                for value, one in entries.items()
+                if one["class"] == organ
+                or (is_fruity and one["class"] == 2 and expected_name(one, truth.get(value)) in fruit)
+            ]
+            masks = [
+                mask_tools.decode(one["segmentation"]).astype(bool)
+                for one in content["annotations"]
+                if one["image_id"] == index and names[one["category_id"]] == name
+            ]
+            assert (np.any(masks, axis=0) == np.isin(instance, expected)).all()
+
+
+def test_yolo_numbers_the_classes_of_the_mapping(labels, tmp_path):
+    folder = export(labels, "yolo", tmp_path / "out", classes=MAPPING, smallest_px=1)
+    lines = (folder / "data.yaml").read_text().partition("names:\n")[2].splitlines()
+    assert lines == [f"  {number}: {name}" for number, name in enumerate(NAMES)]
+    for index in FRAMES:
+        counts = [0] * len(NAMES)
+        for name, _ in expected_objects(labels, index).values():
+            counts[NAMES.index(name)] += 1
+        found = np.bincount([number for number, _ in read_yolo(folder / f"labels/train/{index:06d}.txt")])
+        # An organ in pieces may have several polygons.
+        assert (found >= counts).all()
+        assert (found > 0).all()
+
+
+@pytest.mark.parametrize("ripe_from", [0.2, 0.5, 0.9])
+def test_ripeness_divides_at_the_given_value(ripe_from, labels, tmp_path):
+    content = load_coco(export(labels, "coco", tmp_path / "out", classes=MAPPING, ripe_from=ripe_from))
+    names = {one["id"]: one["name"] for one in content["categories"]}
+    for index in FRAMES:
+        expected = {k: name for k, (name, _) in expected_objects(labels, index, ripe_from=ripe_from).items()}
+        found = {
+            one["attributes"]["instance"]: names[one["category_id"]]
+            for one in content["annotations"]
+            if one["image_id"] == index and not one["iscrowd"]
+        }
+        assert found == expected
+
+
+@pytest.mark.parametrize("format_name", ["coco", "yolo_detect"])
+def test_dropped_organs_are_those_that_the_border_may_cut(format_name, labels, tmp_path):
+    folder = export(labels, format_name, tmp_path / "out", truncated="drop", smallest_px=1)
+    for index in FRAMES:
+        instance, truth = labels.image(index, "instance"), fruit_truth(labels, index)
+        border = {*instance[[0, -1]].ravel().tolist(), *instance[:, [0, -1]].ravel().tolist()}
+        kept = set()
+        for key, entry in labels.metadata(index)["instances"].items():
+            value = int(key)
+            cut = truth[value]["truncated"] if value in truth else value in border
+            if entry["class"] and entry["plant"] >= 0 and not cut:
+                kept.add(value)
+        hidden = [v for v, one in truth.items() if one["truncated"] and v not in border]
+        assert len(kept) > 100
+        if format_name == "coco":
+            records = [one for one in load_coco(folder)["annotations"] if one["image_id"] == index]
+            assert {one["attributes"]["instance"] for one in records if not one["iscrowd"]} == kept
+            assert not kept & set(hidden)
+        else:
+            assert len(read_yolo(folder / f"labels/train/{index:06d}.txt")) == len(kept)
+    assert any(fruit["truncated"] for index in FRAMES for fruit in fruit_truth(labels, index).values())
+
+
+@pytest.mark.parametrize(
+    ("cultivar", "fruit", "crop"),
+    [
+        ("kaite", "pepper", "sweet pepper"),
+        ("tomato", "tomato", "Solanum lycopersicum"),
+        ("cucumber", "cucumber", "Cucumis sativus"),
+        ("eggplant", "eggplant", "Solanum melongena"),
+        ("cucumber_of_mine", "fruit", "cucumber_of_mine"),
+    ],
+)
+def test_fruit_has_the_name_of_its_crop(cultivar, fruit, crop, labels, copied, tmp_path):
+    dataset = copied(labels)
+    edit_json(dataset.folder / "dataset.json", lambda info: info["recipe"].update(cultivar=cultivar))
+    content = load_coco(export(dataset, "coco", tmp_path / "whole"))
+    names = [one["name"] for one in content["categories"]]
+    assert names == ["leaf", fruit, "peduncle", "stem", "shoot", "wire", "cut"]
+    assert {one["supercategory"] for one in content["categories"]} == {crop}
+    options = {"classes": "pepper,mine=leaf", "ripe_from": 0.5}
+    content = load_coco(export(dataset, "coco", tmp_path / "divided", **options))
+    assert [one["name"] for one in content["categories"]] == [f"ripe {fruit}", f"unripe {fruit}", "mine"]
+    # The reader knows these names.
+    images = open_images(tmp_path / "whole")
+    assert (images[0].classes == dataset.image(FRAMES[0], "class")).all()
+
+
+def test_several_crops_have_fruit():
+    recipe = {"cultivar": "kaite", "twins": {"cultivar": ["tomato", "kaite"]}}
+    assert fruit_name({"recipe": recipe}) == "fruit"
+    assert fruit_name({"recipe": {"cultivar": "kaite", "twins": {"cultivar": ["red_blocky"]}}}) == "pepper"
+
+
+def test_one_notation_for_classes_of_exports_and_networks():
+    text = "other=background+leaf,fruit=pepper,peduncle"
+    table = ClassTable.parse(text)
+    categories = parse_categories(text, background=True)
+    assert tuple(one.name for one in categories) == table.names == ("other", "fruit", "peduncle")
+    assert [{part for part in one.parts if part < 8} for one in categories] == [
+        set(ids) for ids in table.members
+    ]
+    assert parse_class_mapping(" a = x + y ,z", ("x", "y", "z")) == (("a", ("x", "y")), ("", ("z",)))
+
+
+WRONG = [
+    ("fruit=apple", "'apple' is none of leaf, pepper, peduncle, stem, shoot, wire, cut, pepper.ripe"),
+    ("fruit", "'fruit' is none of leaf"),
+    ("", "a class is named in lower-case letters, digits and _, not ''"),
+    ("Fruit=pepper", "a class is named in lower-case letters, digits and _, not 'Fruit'"),
+    ("a=leaf,b=leaf", "leaf is named twice"),
+    ("a=leaf+leaf", "leaf is named twice"),
+    ("a=leaf,a=stem", "the class a is named twice"),
+    ("pepper,green=pepper.unripe", "pepper is named twice, as a whole and divided by ripeness"),
+    ("a=pepper.ripe,b=pepper.ripe", "pepper.ripe is named twice"),
+    ("other=background+leaf", "'background' is none of leaf"),
+    ("background=leaf", "background is the name of all that is in no class; choose another"),
+    ("ripe=leaf,a=stem,ripe=cut", "the class ripe is named twice"),
+    ("a=leaf=stem", "'leaf=stem' is none of leaf"),
+    ("a=leaf+", "'' is none of leaf"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG)
+def test_wrong_mappings_give_one_sentence_and_exit_code_2(text, message, labels, tmp_path):
+    command = [
+        "export",
+        str(labels.folder),
+        "--format",
+        "coco",
+        "--out",
+        str(tmp_path / "out"),
+        "--classes",
+        text,
+    ]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"error: --classes: {message}")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--truncated", "cut"), "--truncated: 'cut' must be keep or drop"),
+        (("--ripe", ".5", "--classes", "leaf"), "--ripe: needs pepper as a class of its own"),
+        (("--ripe", ".5", "--classes", "a=pepper+leaf"), "--ripe: needs pepper as a class of its own"),
+    ],
+)
+def test_wrong_options_give_one_sentence_and_exit_code_2(options, message, labels, tmp_path):
+    done = CliRunner().invoke(
+        app, ["export", str(labels.folder), "--format", "yolo", "--out", str(tmp_path / "out"), *options]
+    )
+    assert done.exit_code == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"error: {message}")
+
+
+@pytest.mark.parametrize("options", [{"truncated": "drop"}, {"classes": "a=leaf"}])
+def test_formats_without_objects_refuse_them(options, labels, tmp_path):
+    with pytest.raises(ArgumentError, match="does not apply: webdataset has no objects"):
+        export(labels, "webdataset", tmp_path / "out", **options)

@@ -1,0 +1,139 @@
+"""Point clouds, read by code for the PLY format and by trimesh."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+import trimesh
+from traced_set import (
+    FRUIT,
+    HEIGHT,
+    INTRINSICS,
+    LEAF,
+    LENSES,
+    RADIUS_M,
+    ROLLING,
+    SPHERE,
+    WIDTH,
+    image_points,
+    make_traced_set,
+    row_poses,
+)
+
+from pepperscene.errors import InputError
+from pepperscene.export import export_dataset
+
+LARGEST_PX = 0.001
+FAULT_PX = 0.1
+TYPES = {"float": "<f4", "uchar": "u1", "ushort": "<u2"}
+
+
+def load(path):
+    """The vertices of a binary PLY file as a structured array."""
+    header, _, body = path.read_bytes().partition(b"end_header\n")
+    lines = [line.split() for line in header.decode("ascii").splitlines()]
+    assert lines[:2] == [["ply"], ["format", "binary_little_endian", "1.0"]]
+    (count,) = [int(line[2]) for line in lines if line[:2] == ["element", "vertex"]]
+    fields = [(line[2], TYPES[line[1]]) for line in lines if line[0] == "property"]
+    vertices = np.frombuffer(body, fields)
+    assert len(vertices) == count
+    return vertices
+
+
+def xyz(vertices):
+    return np.column_stack([vertices[name] for name in "xyz"]).astype(float)
+
+
+def reprojection_error(vertices, dataset, index, lens, rolling=None):
+    """Largest distance in pixels between projected points and the pixels that have a surface, in order."""
+    rows, columns = np.nonzero(np.isfinite(dataset.image(index, "distance")))
+    poses = row_poses(dataset.metadata(index)["camera"]["pose"], rolling)[rows]
+    in_camera = np.einsum("nji,nj->ni", poses[:, :3, :3], xyz(vertices) - poses[:, :3, 3])
+    if (in_camera[:, 2] <= 0).any():
+        return np.inf
+    fx, fy, cx, cy = INTRINSICS.values()
+    found = image_points(in_camera, LENSES[lens], np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+    return np.linalg.norm(found - np.column_stack([columns, rows]), axis=1).max()
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_are_those_of_their_pixels(lens, traced, tmp_path):
+    dataset = traced(lens)
+    out = export_dataset(dataset.folder, "ply", tmp_path / "out").folder
+    for index in dataset.indices():
+        vertices = load(out / f"points/{index:06d}.ply")
+        position = dataset.image(index, "position")
+        is_surface = np.isfinite(position[..., 0])
+        assert len(vertices) == is_surface.sum() < HEIGHT * WIDTH
+        np.testing.assert_allclose(xyz(vertices), position[is_surface], rtol=0, atol=2e-6)
+        assert reprojection_error(vertices, dataset, index, lens) < LARGEST_PX
+
+
+@pytest.mark.parametrize("lens", ["brown", "fisheye"])
+def test_faults_are_found(lens, traced, tmp_path):
+    dataset = traced(lens)
+    out = export_dataset(dataset.folder, "ply", tmp_path / "out").folder
+    vertices = load(out / "points/000001.ply")
+    scaled, flipped = vertices.copy(), vertices.copy()
+    scaled["x"] *= 1.01
+    flipped["y"], flipped["z"] = -vertices["y"], -vertices["z"]
+    for fault, index in ((scaled, 1), (flipped, 1), (vertices[::-1], 1)):
+        assert reprojection_error(fault, dataset, index, lens) > FAULT_PX
+    assert reprojection_error(vertices, dataset, 1, "pinhole") > FAULT_PX
+    assert reprojection_error(vertices, dataset, 1, lens, ROLLING) > FAULT_PX
+
+
+def test_colours_classes_and_instances_are_those_of_the_pixels(traced, tmp_path):
+    dataset = traced("brown")
+    out = export_dataset(dataset.folder, "ply", tmp_path / "out").folder
+    vertices = load(out / "points/000002.ply")
+    is_surface = np.isfinite(dataset.image(2, "distance"))
+    for name in ("class", "instance"):
+        # Masks of the points, put back into the image, are those of the data set.
+        image = np.zeros((HEIGHT, WIDTH), vertices[name].dtype)
+        image[is_surface] = vertices[name]
+        np.testing.assert_array_equal(image, dataset.image(2, name))
+    colour = np.column_stack([vertices[name] for name in ("red", "green", "blue")])
+    np.testing.assert_array_equal(colour, dataset.image(2, "colour")[is_surface])
+    on_sphere = np.abs(np.linalg.norm(xyz(vertices) - SPHERE, axis=1) - RADIUS_M) < 1e-5
+    np.testing.assert_array_equal(on_sphere, vertices["instance"] == FRUIT)
+    assert (vertices["class"][vertices["instance"] == LEAF] == 1).all()
+
+
+def test_trimesh_reads_the_points(traced, tmp_path):
+    out = export_dataset(traced().folder, "ply", tmp_path / "out").folder
+    cloud = trimesh.load(out / "points/000000.ply")
+    vertices = load(out / "points/000000.ply")
+    np.testing.assert_array_equal(cloud.vertices, xyz(vertices))
+    np.testing.assert_array_equal(cloud.colors[:, 1], vertices["green"])
+
+
+def test_rows_of_a_rolling_shutter_have_their_own_poses(tmp_path):
+    dataset = make_traced_set(tmp_path / "set", "brown", rolling=ROLLING)
+    out = export_dataset(dataset.folder, "ply", tmp_path / "out").folder
+    for index in dataset.indices():
+        vertices, position = load(out / f"points/{index:06d}.ply"), dataset.image(index, "position")
+        np.testing.assert_allclose(xyz(vertices), position[np.isfinite(position[..., 0])], rtol=0, atol=2e-6)
+        assert reprojection_error(vertices, dataset, index, "brown", ROLLING) < LARGEST_PX
+
+
+def test_a_table_gives_the_splits(traced, tmp_path):
+    out = export_dataset(traced().folder, "ply", tmp_path / "out", "train=0:2,val=3:4").folder
+    with (out / "frames.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["file"], row["split"]) for row in rows] == [
+        ("points/000000.ply", "train"),
+        ("points/000001.ply", "train"),
+        ("points/000003.ply", "val"),
+    ]
+    assert sorted(str(path.relative_to(out)) for path in out.glob("points/*")) == [r["file"] for r in rows]
+
+
+@pytest.mark.parametrize("output", ["class", "instance"])
+def test_missing_labels_are_an_error(output, tmp_path):
+    others = [name for name in ("colour", "class", "instance", "distance") if name != output]
+    dataset = make_traced_set(tmp_path / "set", outputs=others)
+    with pytest.raises(InputError, match=f"frame 000000 has no output '{output}', which the format needs"):
+        export_dataset(dataset.folder, "ply", tmp_path / "out")

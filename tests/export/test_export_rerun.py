@@ -1,0 +1,148 @@
+"""Rerun recordings, read by Rerun itself: geometry against closed forms, labels against the data set."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rerun_recording import IMAGE, Recording
+from traced_set import FRUIT, HEIGHT, IGNORED, RADIUS_M, SPHERE, WIDTH, colour_of, intersect, make_traced_set
+
+from pepperscene.errors import InputError, SetupError
+from pepperscene.export import export_dataset
+from pepperscene.export.rerun import RECORDING
+
+chunk = pytest.importorskip("rerun.chunk")
+
+
+def surfaces(matrix, pose):
+    """By closed form: depth `(h, w)` in metres along the axis, whether it is the sphere, and colours."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    in_camera = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3) @ np.linalg.inv(matrix).T
+    length = np.linalg.norm(in_camera, axis=1, keepdims=True)
+    direction = in_camera / length @ pose[:3, :3].T
+    sphere, wall = intersect(np.tile(pose[:3, 3], (len(direction), 1)), direction)
+    distance = np.minimum(sphere, wall)
+    with np.errstate(invalid="ignore"):
+        colours = colour_of(
+            np.where(np.isinf(distance)[:, None], np.inf, pose[:3, 3] + distance[:, None] * direction)
+        )
+    depth = (distance / length[:, 0]).reshape(HEIGHT, WIDTH)
+    return depth, (sphere < wall).reshape(HEIGHT, WIDTH), colours.reshape(HEIGHT, WIDTH, 3)
+
+
+def errors(recording, frame, matrix=None, pose=None):
+    """Median difference of depth in mm, IoU of the sphere, and median difference of colours in codes."""
+    read = recording.camera(frame)
+    depth, is_sphere, colours = surfaces(
+        read[0] if matrix is None else matrix, read[1] if pose is None else pose
+    )
+    depth_mm = recording.image("depth", frame).astype(float)
+    both = (depth_mm > 0) & np.isfinite(depth)
+    found = recording.image("classes", frame) == 2
+    inside = recording.colour(frame).any(axis=-1)
+    iou = (found & is_sphere & inside).sum() / max(((found | is_sphere) & inside).sum(), 1)
+    difference = np.abs(recording.colour(frame).astype(float) - colours)[both]
+    return np.median(np.abs(depth_mm - 1e3 * depth)[both]), iou, np.median(difference)
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "brown", "rational", "fisheye"])
+def test_every_pixel_shows_what_the_recorded_pinhole_camera_sees(lens, traced, tmp_path):
+    dataset = traced(lens)
+    export_dataset(dataset.folder, "rerun", tmp_path / "out")
+    recording = Recording(tmp_path / "out" / RECORDING)
+    assert recording.frames == list(dataset.indices())
+    for frame in recording.frames:
+        depth_mm, iou, codes = errors(recording, frame)
+        # Depth and classes are those of the nearest pixel, half a pixel away at most.
+        assert depth_mm < (0.51 if lens == "pinhole" else 2.0)
+        assert iou > (0.999 if lens == "pinhole" else 0.95)
+        assert codes < 1.5
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "brown"])
+def test_planted_faults_are_found(lens, traced, tmp_path):
+    export_dataset(traced(lens).folder, "rerun", tmp_path / "out")
+    recording = Recording(tmp_path / "out" / RECORDING)
+    matrix, pose = recording.camera(1)
+    _, iou, codes = errors(recording, 1)
+    shift = np.array([[0, 0, 1.0], [0, 0, 0], [0, 0, 0]])
+    faults = [(matrix + shift, pose), (matrix, np.linalg.inv(pose)), (matrix, recording.camera(2)[1])]
+    for fault in faults:
+        _, wrong_iou, wrong_codes = errors(recording, 1, *fault)
+        assert wrong_iou < iou - 0.01
+        assert wrong_codes > codes + 0.5
+
+
+def test_images_of_a_pinhole_camera_are_those_of_the_data_set(traced, tmp_path):
+    dataset = traced()
+    export_dataset(dataset.folder, "rerun", tmp_path / "out")
+    recording = Recording(tmp_path / "out" / RECORDING)
+    for frame in dataset.indices():
+        assert (
+            bytes(recording.get(f"{IMAGE}/colour", "EncodedImage:blob", frame)[0])
+            == dataset.path(frame, "colour").read_bytes()
+        )
+        np.testing.assert_array_equal(recording.image("classes", frame), dataset.image(frame, "class"))
+        depth = np.nan_to_num(1e3 * dataset.image(frame, "depth_z"), posinf=0.0)
+        assert np.abs(recording.image("depth", frame) - depth).max() <= 0.51
+        np.testing.assert_array_equal(
+            recording.camera(frame)[1], np.float32(dataset.metadata(frame)["camera"]["pose"])
+        )
+
+
+def test_boxes_enclose_the_organs(traced, tmp_path):
+    dataset = traced()
+    export_dataset(dataset.folder, "rerun", tmp_path / "out", classes="pepper")
+    recording = Recording(tmp_path / "out" / RECORDING)
+    for frame in dataset.indices():
+        columns = {
+            name: recording.get(f"{IMAGE}/boxes", f"Boxes2D:{name}", frame)
+            for name in ("centers", "half_sizes", "class_ids", "labels")
+        }
+        rows, cols = np.nonzero(dataset.image(frame, "instance") == FRUIT)
+        (centre,), (half,) = np.array(columns["centers"]), np.array(columns["half_sizes"])
+        np.testing.assert_array_equal(centre - half, (cols.min(), rows.min()))
+        np.testing.assert_array_equal(centre + half, (cols.max() + 1, rows.max() + 1))
+        assert (columns["class_ids"], columns["labels"]) == ([2], [f"fruit {FRUIT}"])
+
+
+def test_ignored_pixels_have_a_class_of_their_own(tmp_path):
+    dataset = make_traced_set(tmp_path / "set", **{"greenhouse.far_rows_as": "ignore"})
+    export_dataset(dataset.folder, "rerun", tmp_path / "out")
+    recording = Recording(tmp_path / "out" / RECORDING)
+    ignored = dataset.image(0, "instance") == IGNORED
+    np.testing.assert_array_equal(recording.image("classes", 0) == 255, ignored)
+    names = [entry["class_id"] for entry in recording.get("/world", "AnnotationContext:context")[0]]
+    assert names == [*range(8), 255]
+
+
+def test_several_scenes_have_a_recording_each(tmp_path):
+    dataset = make_traced_set(tmp_path / "set", frames=(0, 1, 2, 3), **{"plan.sets": 2, "plan.frames": 2})
+    out = export_dataset(dataset.folder, "rerun", tmp_path / "out").folder
+    for name, frames in (("set_000_rotation_000", [0, 1]), ("set_001_rotation_000", [2, 3])):
+        assert Recording(out / name / RECORDING).frames == frames
+        (entry,) = chunk.RrdReader(out / name / RECORDING).recordings()
+        assert entry.recording_id.endswith(name)
+
+
+def test_missing_outputs_and_package_are_one_sentence(tmp_path, monkeypatch):
+    dataset = make_traced_set(tmp_path / "set", outputs=("colour", "class", "instance"))
+    with pytest.raises(InputError, match="frame 000000 has no output 'distance'"):
+        export_dataset(dataset.folder, "rerun", tmp_path / "out")
+    monkeypatch.setitem(__import__("sys").modules, "rerun", None)
+    with pytest.raises(SetupError, match=r"needs rerun, which is not installed.*pepperscene\[rerun\]"):
+        export_dataset(dataset.folder, "rerun", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_sphere_is_where_it_is(traced, tmp_path):
+    """Points of the fruit, from depth and camera alone, are on its surface."""
+    export_dataset(traced("brown").folder, "rerun", tmp_path / "out")
+    recording = Recording(tmp_path / "out" / RECORDING)
+    for frame in recording.frames:
+        matrix, pose = recording.camera(frame)
+        rows, columns = np.nonzero(recording.image("classes", frame) == 2)
+        pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=-1)
+        depth = recording.image("depth", frame)[rows, columns] / 1e3
+        points = (pixels @ np.linalg.inv(matrix).T * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3]
+        assert np.median(np.abs(np.linalg.norm(points - SPHERE, axis=1) - RADIUS_M)) < 1e-3

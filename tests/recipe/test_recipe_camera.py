@@ -1,0 +1,184 @@
+"""The camera of a recipe: sensor settings, filter, white balance and the other steps of developing."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pepperscene.camera import Developing, load_filter, load_sensor
+from pepperscene.camera.sensor.readout import GAIN_RANGE, LARGEST_MATRIX_ENTRY
+from pepperscene.document import validate
+from pepperscene.errors import InputError
+from pepperscene.recipe.camera_tables import DevelopingTable
+from pepperscene.recipe.load import load_recipe, parse_changes, resolve_recipe
+from pepperscene.recipe.load_camera import surface_wavelengths
+from pepperscene.spectra import Spectrum
+
+
+def camera_with(changes):
+    return resolve_recipe("barth2018", changes).camera
+
+
+def test_sensor_settings():
+    before = camera_with({})
+    after = camera_with({"camera.focus_mm": 350, "camera.gain": 4, "camera.bits": 8})
+    assert (before.focus_m, after.focus_m) == (0.4, 0.35)
+    assert (after.sensor.gain, after.sensor.bits) == (4, 8)
+    assert before.sensor.gain == 1
+    # A gain of 4 makes 4 times the digital numbers of the same electrons, on a converter of 8 bits.
+    before, after = before.sensor, after.sensor
+    ranges = [sensor.full_scale_dn - sensor.black_level_dn for sensor in (before, after)]
+    ratio = before.gain_e_per_dn / after.gain_e_per_dn
+    assert ratio == pytest.approx(4 * ranges[1] / ranges[0])
+
+
+def test_filter_reduces_the_quantum_efficiency():
+    sensor = camera_with({"camera.filter": "schott_22022010"}).sensor
+    without = load_sensor("ueye_ui5250re").quantum_efficiency
+    nm = np.arange(400.0, 701.0, 50.0)
+    expected = without.at(nm) * load_filter("schott_22022010").transmittance.at(nm)
+    np.testing.assert_allclose(sensor.quantum_efficiency.at(nm), expected)
+
+
+def test_surface_wavelengths_cover_the_sensitive_range():
+    def sensor(nm, efficiency):
+        curve = Spectrum(np.array(nm), np.array([efficiency]))
+        return dataclasses.replace(load_sensor("onsemi_mt9v024_mono"), quantum_efficiency=curve)
+
+    grid = surface_wavelengths(sensor([300.0, 402.0, 500.0, 993.0, 1100.0], [0.0, 0.0, 0.5, 0.0, 0.0]))
+    np.testing.assert_array_equal(grid, np.arange(400.0, 996.0, 5.0))
+    # A curve that ends high is zero beyond.
+    grid = surface_wavelengths(sensor([400.0, 412.0], [0.5, 0.5]))
+    np.testing.assert_array_equal(grid, [400, 405, 410, 415])
+    with pytest.raises(ValueError, match="is sensitive up to 2600 nm"):
+        surface_wavelengths(sensor([900.0, 2600.0], [0.5, 0.5]))
+    with pytest.raises(ValueError, match="is not sensitive at any wavelength"):
+        surface_wavelengths(sensor([400.0, 700.0], [0.0, 0.0]))
+    with pytest.raises(ValueError, match="is not sensitive at any whole number of nanometres"):
+        surface_wavelengths(sensor([500.2, 500.5, 500.8], [0.0, 0.5, 0.0]))
+
+
+def test_without_a_flash_the_white_balance_must_be_another():
+    with pytest.raises(InputError, match=r"camera\.flash = .none.: needs a developing"):
+        load_recipe("barth2018", {"camera.flash": "none"})
+    for balance, expected in (("daylight", "daylight"), ("none", None)):
+        changes = {"camera.flash": "none", "developing.white_balance": balance}
+        assert "flash" not in load_recipe("barth2018", changes).identity()["files"]
+        assert camera_with(changes).developing.white_balance == expected
+    monochrome = {"camera.flash": "none", "camera.sensor": "onsemi_mt9v024_mono"}
+    assert camera_with(monochrome).flash is None
+
+
+def test_developing_table_has_the_keys_and_defaults_of_developing():
+    own = {"developing.stray_light": False, "developing.pedestal": 0}  # the recipe's own are others
+    steps = camera_with({"developing.tone": "linear", "developing.read_noise": False, **own}).developing
+    assert steps == Developing(tone="linear", read_noise=False)
+    assert set(DevelopingTable.model_fields) == {field.name for field in dataclasses.fields(Developing)}
+    assert Developing(**DevelopingTable().model_dump()) == Developing()
+
+
+GAINS = (1.9, 1.0, 1.5)
+MATRIX = ((1.6, -0.4, -0.2), (-0.2, 1.5, -0.3), (0.1, -0.6, 1.5))
+
+
+def test_gains_and_matrix_in_camera_and_identity(write_recipe):
+    table = {"white_balance": list(GAINS), "colour_matrix": [list(row) for row in MATRIX]}
+    base = write_recipe("base.toml", camera={"flash": "none"}, developing=table)
+    resolved = resolve_recipe(base)
+    steps = resolved.camera.developing
+    assert (steps.white_balance, steps.colour_matrix) == (GAINS, MATRIX)
+
+    # The identity holds them and is unchanged by JSON; every entry counts.
+    identity = resolved.identity
+    assert json.loads(json.dumps(identity)) == identity
+    assert {key: identity["recipe"]["developing"][key] for key in table} == table
+    other = load_recipe(base, {"developing.white_balance": [1.9, 1.0, 1.50001]})
+    assert other.sha256() != resolved.recipe.sha256()
+
+    # A list is replaced as a whole, also by another kind of value.
+    top = load_recipe(write_recipe(extends=base.name, developing={"white_balance": [2, 1, 1]}))
+    assert top.developing.white_balance == (2.0, 1.0, 1.0)
+    assert top.developing.colour_matrix == MATRIX
+    replaced = load_recipe(base, {"developing.white_balance": "daylight", "developing.colour_matrix": True})
+    daylight = {"camera.flash": "none", "developing.white_balance": "daylight"}
+    assert replaced.sha256() == load_recipe("barth2018", daylight).sha256()
+
+
+def test_gains_and_matrix_on_the_command_line():
+    texts = ["white_balance=[1.9, 1, 1.5]", "colour_matrix=[[1, 0, 0], [0, 1, 0], [0, 0, 1]]"]
+    developing = load_recipe("barth2018", parse_changes(f"developing.{text}" for text in texts)).developing
+    assert developing.white_balance == GAINS
+    assert developing.colour_matrix == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("white_balance", [1.9, 1.0], "gains of red, green and blue, each 0.01 to 100"),
+        ("white_balance", "tungsten", '"flash", "daylight", "none"'),
+        ("colour_matrix", [[1.0]], "three rows of three numbers, each -100 to 100"),
+    ],
+)
+def test_invalid_gains_or_matrix_give_a_one_line_error(write_recipe, key, value, allowed):
+    path = write_recipe(developing={key: value})
+    with pytest.raises(InputError) as error:
+        load_recipe(path)
+    assert (error.value.key, error.value.value) == (f"developing.{key}", value)
+    assert allowed in error.value.problem
+
+
+NUMBERS = st.floats() | st.floats(0.01, 100) | st.integers(-2, 200)
+ROWS = st.lists(NUMBERS, min_size=2, max_size=4)
+VALUES = st.one_of(
+    st.none() | st.booleans() | NUMBERS,
+    st.sampled_from(["flash", "daylight", "none", "", "[1, 1, 1]"]),
+    ROWS | st.lists(ROWS, min_size=2, max_size=4) | st.tuples(*3 * [NUMBERS]),
+    st.lists(st.booleans() | st.text(), max_size=3),
+)
+
+
+@given(VALUES, st.sampled_from(["white_balance", "colour_matrix"]))
+@settings(max_examples=300, deadline=None)
+def test_every_valid_value_of_a_recipe_is_valid_for_a_camera(value, key):
+    """Any other value is an error of the key itself."""
+    try:
+        table = validate(DevelopingTable, {key: value}, "mine.toml")
+    except InputError as error:
+        table, error_key = None, error.key
+    if table is None:
+        assert error_key == key
+    else:
+        steps = {name: None if step == "none" else step for name, step in table.model_dump().items()}
+        assert getattr(Developing(**steps), key) == steps[key]
+
+
+def test_limits_of_gains_and_matrix_are_those_of_the_camera():
+    def matrix(entry):
+        return ((entry, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+    for limit, factor in zip(GAIN_RANGE, (0.99, 1.01), strict=True):
+        assert DevelopingTable(white_balance=(limit, 1.0, 1.0)).white_balance[0] == limit
+        with pytest.raises(ValueError, match="must be"):
+            DevelopingTable(white_balance=(factor * limit, 1.0, 1.0))
+    for entry in (LARGEST_MATRIX_ENTRY, -LARGEST_MATRIX_ENTRY):
+        assert DevelopingTable(colour_matrix=matrix(entry)).colour_matrix == matrix(entry)
+        with pytest.raises(ValueError, match="must be"):
+            DevelopingTable(colour_matrix=matrix(1.01 * entry))
+
+
+def test_a_sensor_with_bands_and_no_flash_needs_no_white_balance():
+    bands = {
+        "camera.sensor": "micasense_rededge_mx",
+        "camera.lens": "micasense_rededge_mx",
+        "camera.flash": "none",
+    }
+    resolved = resolve_recipe("barth2018", bands)
+    assert resolved.camera.developing.white_balance == "daylight"
+    # A sensor with colours does.
+    with pytest.raises(InputError, match="white_balance"):
+        resolve_recipe("barth2018", {"camera.flash": "none"})
