@@ -464,7 +464,7 @@ print(json.dumps(sizes))
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not report memory sizes")
 def test_memory_does_not_grow_with_epochs(tmp_path):
     # With these thresholds, glibc gives freed arrays back at once, and memory does not grow by fragments.
-    folders = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1] / 'support')!r}); FOLDER = {str(tmp_path)!r}\n"
+    folders = f"FOLDER = {str(tmp_path)!r}\n"
     sizes = np.array(
         run_python(folders + RUN, MALLOC_MMAP_THRESHOLD_="65536", MALLOC_TRIM_THRESHOLD_="65536")
     )
