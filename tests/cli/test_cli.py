@@ -247,7 +247,7 @@ def test_interrupt_gives_one_line_and_exit_code_130(command, tmp_path, monkeypat
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["pepperscene.dataset"], "build", interrupt)
+    monkeypatch.setattr(sys.modules["pepperscene.building.execution.build"], "build", interrupt)
     result = command("build", "--out", tmp_path / "set")
     assert result.exit_code == 130
     assert "interrupted" in result.stderr
