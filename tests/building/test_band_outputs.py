@@ -188,7 +188,7 @@ def test_sets_without_bands_are_refused(tmp_path):
 def test_formats_with_a_camera_model_refuse_line_scanners(scanned, format_name, tmp_path, monkeypatch):
     from pepperscene.dataset.dataset_frame import DatasetFrame
     from pepperscene.export import run
-    from pepperscene.export.recorded_camera import recorded_camera
+    from pepperscene.export.surface import recorded_camera
 
     with pytest.raises(InputError, match="line scanners"):
         recorded_camera(DatasetFrame(scanned, 0))
@@ -200,7 +200,7 @@ def test_formats_with_a_camera_model_refuse_line_scanners(scanned, format_name, 
 
 def test_recorded_line_scanner_projects_the_positions_of_its_pixels(scanned):
     from pepperscene.dataset.dataset_frame import DatasetFrame
-    from pepperscene.export.recorded_camera import recorded_camera
+    from pepperscene.export.surface import recorded_camera
 
     camera = recorded_camera(DatasetFrame(scanned, 0), allows_line_scan=True)
     found = camera.project(scanned.image(0, "position").reshape(-1, 3).astype(float)).reshape(*SIZE, 2)

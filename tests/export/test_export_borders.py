@@ -13,7 +13,7 @@ from painted_set import ALL, make_painted_set
 
 from pepperscene.camera import Camera, load_lens, load_sensor
 from pepperscene.classes import Instance, OrganClass
-from pepperscene.export.yolo_layout import VisibleObject
+from pepperscene.export.yolo import VisibleObject
 from pepperscene.truth.amodal import AmodalMask
 from pepperscene.truth.harvest import FruitTruth, LabelView, harvest_truth
 

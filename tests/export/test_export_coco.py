@@ -17,7 +17,7 @@ from painted_set import FRAMES, WIRE
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.store.images import read_image
 from pepperscene.export import export_dataset
-from pepperscene.export.coco_segments import segment_run_lengths
+from pepperscene.export.coco import segment_run_lengths
 from pepperscene.truth.encodings import decode_rle
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")

@@ -15,7 +15,7 @@ from pepperscene.dataset.selection import Selection, parse_categories
 from pepperscene.dataset.store.crop import crop_name
 from pepperscene.dataset.store.images import read_image
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.export import export_dataset
+from pepperscene.export import FORMATS, export_dataset
 from pepperscene.export.run import _fruit_without_label
 
 pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
@@ -136,7 +136,7 @@ def test_fruit_of_unknown_ripeness_is_a_crowd_of_both_categories(painted, tmp_pa
 )
 def test_yolo_warns_of_far_fruit_of_unknown_ripeness(format_name, classes, greenhouse, is_warned):
     info = {"recipe": {"greenhouse": greenhouse}}
-    warning = _fruit_without_label(format_name, Selection(parse_categories(classes)), info)
+    warning = _fruit_without_label(FORMATS[format_name], Selection(parse_categories(classes)), info)
     assert ("ripeness is not known" in warning) == is_warned
 
 

@@ -13,7 +13,7 @@ from painted_set import FRAMES, SIZE
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.images import read_image
 from pepperscene.export import export_dataset
-from pepperscene.export.yolo import MAX_BRIDGE_FRACTION, mask_polygons
+from pepperscene.export.polygons import MAX_BRIDGE_FRACTION, mask_polygons
 
 cv2 = pytest.importorskip("cv2", reason="the extra `test` installs OpenCV")
 

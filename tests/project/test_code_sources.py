@@ -40,9 +40,9 @@ NAMED_IMPORTS = {
     ("learning/user_callable.py", "import_module"): "a name that the user typed, and only if code is allowed",
     ("recipe/views/user_function.py", "run_path"): "the file of a recipe, after `ResolvedRecipe.check_code`",
     ("building/subprocess_rpc.py", "import_module"): "a name from the parent process",
-    ("export/run.py", "import_module"): "a key of the table FORMATS",
+    ("export/formats.py", "import_module"): "a value of the table FORMATS",
     ("export/run.py", "import_library"): "a value of the table FORMATS",
-    ("export/job.py", "import_module"): "the argument of `import_library`, which this test checks",
+    ("libraries.py", "import_module"): "the argument of `import_library`, which this test checks",
 }
 """The only imports by a name that is no constant, and why they are safe."""
 
@@ -133,7 +133,7 @@ def test_child_interpreters_do_not_search_the_current_folder():
         ]
     # Slurm's workers are started by dask-jobqueue, and inherit PYTHONSAFEPATH from the script; `bpy_python`
     # returns the Python of Blender, whose two calls have -P.
-    assert sorted(found) == ["cycles_process.py", "building/execution/slurm_script.py"]
+    assert sorted(found) == ["building/execution/slurm_script.py", "cycles_process.py"]
     slurm, cycles = (
         PACKAGE / "building/execution/slurm_script.py",
         ROOT / "benchmarks/cycles/cycles_process.py",

@@ -14,7 +14,7 @@ NOT_WRITTEN = {
     "bench/profile.py": "between two processes of this program",
     "bench/measure.py": "between two processes of this program",
     "building/viewpoints/table.py": "of settings, for a digest",
-    "export/yolo_layout.py": "quotes names",
+    "export/yolo.py": "quotes names",
     "export/fruit_models.py": "compared with a recorded recipe",
     "export/huggingface.py": "names of columns; values are encoded without nan",
     "recipe/recipe.py": "of a recipe, whose numbers are finite, for a digest",

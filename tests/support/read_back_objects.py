@@ -17,7 +17,7 @@ from label_set import box_of, expected_points, fruit_truth
 from PIL import Image
 
 from pepperscene.classes import OrganClass
-from pepperscene.export.yolo import MAX_BRIDGE_FRACTION
+from pepperscene.export.polygons import MAX_BRIDGE_FRACTION
 from pepperscene.truth.encodings import decode_rle
 
 SMALLEST_PX = 12  # default of the formats of YOLO

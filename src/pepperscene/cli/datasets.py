@@ -22,6 +22,7 @@ from pepperscene.cli.application import (
 )
 from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
 from pepperscene.errors import InputError, OutputError
+from pepperscene.export.formats import FORMATS
 
 if TYPE_CHECKING:
     from pepperscene.review.check import CheckResult
@@ -103,8 +104,7 @@ def export(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="published, coco, yolo, yolo_detect, yolo_pose, semantic, webdataset, huggingface, "
-            "nerfstudio, colmap, ply, rgbd, rgbd_sensor, envi, npy, bop or rerun.",
+            help=f"{' or '.join((', '.join(tuple(FORMATS)[:-1]), tuple(FORMATS)[-1]))}.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],

@@ -1,6 +1,5 @@
 """Exports of a data set to the formats of training code."""
 
-from pepperscene.dataset.splits import Splits, read_splits, split_by_sets
-from pepperscene.export.run import FORMATS, ExportResult, export_dataset
+import lazy_loader
 
-__all__ = ["FORMATS", "ExportResult", "Splits", "export_dataset", "read_splits", "split_by_sets"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,7 +5,6 @@ Format: https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_form
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -20,7 +19,7 @@ from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.export.fruit_models import FruitMeshes, FruitModel
-from pepperscene.export.job import ExportJob
+from pepperscene.export.job import ExportJob, write_table
 from pepperscene.export.surface import MILLIMETRES, RangeImage, read_label, read_surface
 from pepperscene.recipe.plan import Plan
 from pepperscene.truth.encodings import decode_rle
@@ -51,13 +50,12 @@ def write_bop(job: ExportJob, folder: Path) -> None:
         InputError: the lens distorts, or a rolling shutter moves, which BOP does not have; or the plants
             cannot be grown again.
     """
-    plan = Plan.model_validate(job.dataset.info["recipe"]["plan"])
-    scenes = {index: _scene_id(plan, index) for index in job.split_of}
+    scenes = {index: _scene_id(job.plan, index) for index in job.split_of}
     groups: dict[str, list[int]] = {}
     # Ascending scenes, so that each is grown once.
     for index in sorted(scenes, key=lambda index: (scenes[index], index)):
         groups.setdefault(f"{job.split_of[index]}/{scenes[index]:06d}", []).append(index)
-    models = _Models(FruitMeshes(job.dataset), plan, folder)
+    models = _Models(FruitMeshes(job.dataset), job.plan, folder)
     for name, frames in job.frames_by_group(groups):
         _write_scene(folder / name, frames, models)
     models.write_tables()
@@ -97,10 +95,7 @@ class _Models:
     def write_tables(self) -> None:
         _write_json(self.folder / "models" / "models_info.json", self.info)
         _write_json(self.folder / "camera.json", self.camera)
-        with (self.folder / "objects.csv").open("w", newline="", encoding="utf-8") as file:
-            rows = csv.DictWriter(file, _COLUMNS, extrasaction="ignore", lineterminator="\n")
-            rows.writeheader()
-            rows.writerows(self.rows)
+        write_table(self.folder / "objects.csv", _COLUMNS, self.rows)
 
 
 def _model_file(model: FruitModel) -> tuple[bytes, dict[str, float]]:

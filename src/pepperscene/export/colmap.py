@@ -22,8 +22,7 @@ from pepperscene.camera.pose_files.pose_projects import (
     colmap_images,
 )
 from pepperscene.dataset.dataset_frame import DatasetFrame
-from pepperscene.export.job import ExportJob
-from pepperscene.export.sequences import open_groups, scene_groups, scene_splits, training_frames
+from pepperscene.export.job import ExportJob, open_groups, scene_groups, scene_splits, training_frames
 from pepperscene.export.surface import (
     SEED_POINTS,
     RangeImage,

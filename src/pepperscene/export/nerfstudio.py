@@ -5,7 +5,6 @@ Format: https://docs.nerf.studio/quickstart/data_conventions.html.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,13 +12,19 @@ from typing import Any, Final
 from pepperscene.camera.pose_files.pose_projects import nerfstudio_frame, nerfstudio_intrinsics
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.export.job import ExportJob
-from pepperscene.export.sequences import open_groups, scene_groups, scene_splits, training_frames
+from pepperscene.export.job import (
+    ExportJob,
+    open_groups,
+    scene_groups,
+    scene_splits,
+    training_frames,
+    write_json,
+)
+from pepperscene.export.ply import point_file
 from pepperscene.export.surface import (
     MILLIMETRES,
     SEED_POINTS,
     mask_png,
-    point_file,
     read_surface,
     seed_points,
 )
@@ -38,8 +43,7 @@ def write_nerfstudio(job: ExportJob, folder: Path) -> None:
         points = seed_points(training_frames(job, indices), SEED_POINTS, leave_ignored=job.has_ignored_pixels)
         (place / _POINT_FILE).write_bytes(point_file(points.position, points.colour))
         content = _transforms(job, indices, _write_frames(job, place, frames))
-        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        (place / "transforms.json").write_text(text, encoding="utf-8")
+        write_json(place / "transforms.json", content)
 
 
 def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[str, Any]]) -> dict[str, Any]:

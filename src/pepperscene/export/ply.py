@@ -6,17 +6,19 @@ https://paulbourke.net/dataformats/ply/.
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.dataset.dataset_frame import DatasetFrame
-from pepperscene.export.job import ExportJob
-from pepperscene.export.surface import point_file, read_colour, read_label, read_surface
+from pepperscene.export.job import ExportJob, write_table
+from pepperscene.export.surface import read_colour, read_label, read_surface
 
 _COLUMNS: Final = ("index", "set", "rotation", "step", "split", "file")
+_COLOURS: Final = ("red", "green", "blue")
 _LABELS: Final = ("class", "instance")
 
 
@@ -27,13 +29,14 @@ def write_ply(job: ExportJob, folder: Path) -> None:
     `red`, `green`, `blue`, its `class` id and its `instance`.
     """
     (folder / "points").mkdir()
-    with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
-        rows = csv.DictWriter(file, _COLUMNS, extrasaction="ignore", lineterminator="\n")
-        rows.writeheader()
+
+    def write_clouds() -> Iterator[dict[str, Any]]:
         for frame in job.frames():
             name = f"points/{frame.name}.ply"
             (folder / name).write_bytes(_point_cloud(frame))
-            rows.writerow({**frame.metadata, "split": job.split_of[frame.index], "file": name})
+            yield {**frame.metadata, "split": job.split_of[frame.index], "file": name}
+
+    write_table(folder / "frames.csv", _COLUMNS, write_clouds())
 
 
 def _point_cloud(frame: DatasetFrame) -> bytes:
@@ -42,3 +45,28 @@ def _point_cloud(frame: DatasetFrame) -> bytes:
     rows, columns = np.nonzero(np.isfinite(surface.distance))
     further = {name: image[rows, columns] for name, image in labels.items()}
     return point_file(surface.points(rows, columns), colour[rows, columns], **further)
+
+
+def point_file(
+    position: NDArray[np.floating[Any]], colour: NDArray[np.uint8], **further: NDArray[Any]
+) -> bytes:
+    """A binary PLY file of points.
+
+    Args:
+        position: `(n, 3)` metres, stored in single precision.
+        colour: `(n, 3)` uint8.
+        further: more properties by name, each `(n,)` of uint8 or uint16.
+    """
+    columns = dict(zip("xyz", np.asarray(position, "<f4").T, strict=True))
+    columns |= dict(zip(_COLOURS, colour.T, strict=True))
+    columns |= {name: values.astype(values.dtype.newbyteorder("<")) for name, values in further.items()}
+    names = {"f": "float", "u1": "uchar", "u2": "ushort"}
+    properties = [
+        f"property {names.get(values.dtype.str[1:], names.get(values.dtype.kind))} {name}"
+        for name, values in columns.items()
+    ]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(position)}", *properties]
+    table = np.empty(len(position), [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        table[name] = values
+    return "\n".join([*header, "end_header", ""]).encode("ascii") + table.tobytes()

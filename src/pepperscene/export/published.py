@@ -5,17 +5,16 @@ Source: doi 10.4121/uuid:884958f5-b868-46e1-b3d8-a0b5d91b02c0, as public code re
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.images import png_bytes
-from pepperscene.export.job import ExportJob
+from pepperscene.export.job import ExportJob, write_table
 from pepperscene.truth import class_colour, distance_code
 
 _COLUMNS: Final = ("number", "index", "set", "rotation", "step", "split")
@@ -40,13 +39,14 @@ def write_published(job: ExportJob, folder: Path) -> None:
     names = (_COLOUR, _CLASS, _CLASS_COLOUR, _DISTANCE_CODE, *map(_binary_name, _ORGANS))
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
-        rows = csv.DictWriter(file, _COLUMNS, extrasaction="ignore", lineterminator="\n")
-        rows.writeheader()
+
+    def write_images() -> Iterator[dict[str, Any]]:
         for number, frame in enumerate(job.frames(), start=1):
             for name, content in _image_files(frame).items():
                 (folder / f"{name}_{number}.png").write_bytes(content)
-            rows.writerow({**frame.metadata, "number": number, "split": job.split_of[frame.index]})
+            yield {**frame.metadata, "number": number, "split": job.split_of[frame.index]}
+
+    write_table(folder / "frames.csv", _COLUMNS, write_images())
 
 
 def _binary_name(organ_class: OrganClass) -> str:

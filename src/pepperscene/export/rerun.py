@@ -17,8 +17,7 @@ from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, IGNORE_COLOUR, Orga
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.images import png_bytes
-from pepperscene.export.job import ExportJob
-from pepperscene.export.sequences import open_groups, sequence_groups
+from pepperscene.export.job import ExportJob, open_groups, sequence_groups
 from pepperscene.export.surface import MILLIMETRES, MOST_MM, read_colour, read_label, read_surface
 from pepperscene.libraries import import_library
 

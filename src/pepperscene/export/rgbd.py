@@ -19,19 +19,13 @@ from pepperscene.camera.optics.calibration import CENTRE_OF_FIRST_PIXEL
 from pepperscene.camera.optics.distortion import MODELS
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import InputError
-from pepperscene.export.job import ExportJob
-from pepperscene.export.recorded_camera import recorded_camera
-from pepperscene.export.sequences import open_groups, sequence_groups
-from pepperscene.export.surface import read_surface
-from pepperscene.recipe.plan import Plan
+from pepperscene.export.job import ExportJob, open_groups, sequence_groups
+from pepperscene.export.surface import depth_png, read_surface, recorded_camera, size_error
 
 STEP_S: Final = 1.0
 """Time from a step to the next. Chosen: a data set has no clock."""
 
 _IMAGES: Final = ("rgb", "depth")
-
-DepthOf = Callable[[DatasetFrame, Camera], bytes]
-"""The content of the depth image of a frame with this camera."""
 
 
 def write_rgbd(job: ExportJob, folder: Path) -> None:
@@ -41,21 +35,35 @@ def write_rgbd(job: ExportJob, folder: Path) -> None:
     `rgb.txt` and `depth.txt` list the images by time, `associations.txt` their pairs, and `groundtruth.txt`
     the poses, camera to world. Depths are along the optical axis, in millimetres, 0 for none.
     """
-    write_depths(job, folder, lambda frame, _: read_surface(frame).depth_png())
+    _write_sequences(job, folder, lambda frame, _: read_surface(frame).depth_png())
 
 
-def write_depths(job: ExportJob, folder: Path, depth_of: DepthOf) -> None:
-    """Write the files of `write_rgbd` with depth images of any kind."""
-    plan = Plan.model_validate(job.dataset.info["recipe"]["plan"])
+def write_rgbd_sensor(job: ExportJob, folder: Path) -> None:
+    """Write the files of `write_rgbd` with the depths that a depth camera measured; 0 in its holes."""
+    _write_sequences(job, folder, _measured_png)
+
+
+def _measured_png(frame: DatasetFrame, camera: Camera) -> bytes:
+    depth = frame.image("depth_sensor")
+    if depth.shape != (camera.height, camera.width):
+        path = frame.dataset.path(frame.index, "depth_sensor")
+        raise size_error(path, (camera.height, camera.width), depth.shape)
+    return depth_png(depth)
+
+
+def _write_sequences(job: ExportJob, folder: Path, depth_of: Callable[[DatasetFrame, Camera], bytes]) -> None:
+    """Write all files; `depth_of` makes the content of the depth image of a frame with its camera."""
     for place, indices, frames in open_groups(job, folder, sequence_groups(job)):
-        times = [STEP_S * plan.frame(index).step for index in indices]
+        times = [STEP_S * job.plan.frame(index).step for index in indices]
         camera, poses = _write_images(place, frames, depth_of)
         (place / "camera_info.yaml").write_text(_camera_info(camera), encoding="utf-8")
         write_poses(place / "groundtruth.txt", PoseList(np.array(poses), np.array(times)), "tum")
         _write_tables(place, times, [f"{index:06d}.png" for index in indices])
 
 
-def _write_images(place: Path, frames: Iterable[DatasetFrame], depth_of: DepthOf) -> tuple[Camera, list[Any]]:
+def _write_images(
+    place: Path, frames: Iterable[DatasetFrame], depth_of: Callable[[DatasetFrame, Camera], bytes]
+) -> tuple[Camera, list[Any]]:
     """Write the images of a sequence, and return its camera and poses; the camera must be one."""
     for name in _IMAGES:
         (place / name).mkdir()

@@ -1,4 +1,4 @@
-"""Export of a data set to one of the formats, each in a separate module."""
+"""Export of a data set to one of the formats."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 from pepperscene.atomic import (
@@ -21,15 +19,17 @@ from pepperscene.atomic import (
     temporary_path,
 )
 from pepperscene.dataset.selection import RIPE_FROM, Selection, parse_categories
+from pepperscene.dataset.splits import Splits as Splits
 from pepperscene.dataset.splits import read_splits, shared_plants
+from pepperscene.dataset.splits import split_by_sets as split_by_sets
 from pepperscene.dataset.store.crop import fruit_name
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.folder import LITTER
 from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
-from pepperscene.export.band_frames import BAND_IMAGES
-from pepperscene.export.job import DEPTH_OUTPUTS, ExportJob, OnFrame
+from pepperscene.export.formats import FORMATS, ExportFormat
+from pepperscene.export.job import ExportJob, OnFrame
 from pepperscene.libraries import import_library
 from pepperscene.recipe.plan import Plan
 from pepperscene.shipped import is_file, shipped_folder
@@ -54,55 +54,11 @@ class ExportResult:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class ExportFormat:
-    """One format, written by the function `write_NAME` of the module NAME."""
-
-    required: tuple[tuple[str, ...], ...]  # outputs of all frames; of alternatives in a tuple, one is enough
-    library: str = ""  # module that it needs
-    smallest_px: int | None = None  # default of `export_dataset`; None for formats without objects
-    reserved: tuple[str, ...] = ()  # names that no split may have: of other folders, or of other keys
-    classes: str | None = None  # default of `export_dataset`
-    has_background: bool = False  # whether the background can be a class
-    has_masks: bool = False  # whether ignored pixels, if there can be some, are written as masks
-    extra: str = "export"  # that installs the library
-
-
 KEEP: Final = "keep"
 DROP: Final = "drop"
-_DEFAULT_QUALITY: Final = "standard"  # of a build
 """What is done with organs that the image border may cut."""
 
-_YOLO_KEYS: Final = (
-    "channels", "download", "flip_idx", "kpt_names", "kpt_shape", "names", "nc", "path", "yaml_file",
-)  # fmt: skip
-"""Keys of `data.yaml` that mean something other than a split to Ultralytics."""
-
-FORMATS: Final = MappingProxyType(
-    {
-        "published": ExportFormat((("colour",), ("class",), ("distance_code", "distance"))),
-        "coco": ExportFormat((("colour",), ("instance",)), "pycocotools.mask", 1, ("annotations",)),
-        # Chosen: 12 pixels are less than one pixel of a network's masks, a quarter as wide as its input.
-        "yolo": ExportFormat((("colour",), ("instance",)), "cv2", 12, _YOLO_KEYS),
-        "yolo_detect": ExportFormat((("colour",), ("instance",)), "", 12, _YOLO_KEYS),
-        "yolo_pose": ExportFormat((("colour",), ("instance",), ("harvest",)), "", 12, _YOLO_KEYS, "pepper"),
-        "semantic": ExportFormat((("colour",), ("class",)), "", 1, has_background=True),
-        "webdataset": ExportFormat((("colour",), ("class",))),
-        "huggingface": ExportFormat((("colour",), ("class",))),
-        "nerfstudio": ExportFormat((("colour",), DEPTH_OUTPUTS), has_masks=True),
-        "colmap": ExportFormat((("colour",), DEPTH_OUTPUTS), has_masks=True),
-        "ply": ExportFormat((("colour",), DEPTH_OUTPUTS, ("class",), ("instance",))),
-        "rgbd": ExportFormat((("colour",), DEPTH_OUTPUTS)),
-        "rgbd_sensor": ExportFormat((("colour",), ("depth_sensor",))),
-        "envi": ExportFormat((BAND_IMAGES,)),
-        "npy": ExportFormat((BAND_IMAGES,)),
-        "rerun": ExportFormat(
-            (("colour",), DEPTH_OUTPUTS, ("class",), ("instance",)), "rerun", 1, extra="rerun"
-        ),
-        "bop": ExportFormat((("colour",), DEPTH_OUTPUTS, ("instance",), ("harvest",)), reserved=("models",)),
-    }
-)
-"""All formats by name."""
+_DEFAULT_QUALITY: Final = "standard"  # of a build
 
 
 def export_dataset(
@@ -149,7 +105,7 @@ def export_dataset(
     export_format = FORMATS[format_name]
     options = {"smallest_px": smallest_px, "classes": classes, "least_visible": least_visible}
     options |= {"ripe_from": ripe_from, "truncated": None if truncated == KEEP else truncated}
-    _check_options(options, format_name)
+    _check_options(options, export_format)
     dataset = open_dataset(folder)
     read_info(dataset)
     selection = _make_selection(options, export_format, dataset.info)
@@ -170,22 +126,20 @@ def export_dataset(
     if export_format.has_masks and job.has_ignored_pixels:
         required = (*required, ("class",))
     _check_outputs(dataset, list(job.split_of), required)
-    module = import_module(f"pepperscene.export.{format_name}")
     with new_folder(Path(out), dataset.folder) as temporary:
-        getattr(module, f"write_{format_name}")(job, temporary)
+        export_format.write(job, temporary)
         files = sum(path.is_file() for path in temporary.rglob("*"))
     counts = {name: len(members) for name, members in job.splits.items()}
     shared = shared_plants(job.splits, dataset.info["recipe"]["plan"])
-    unlabelled = _fruit_without_label(format_name, selection, dataset.info)
+    unlabelled = _fruit_without_label(export_format, selection, dataset.info)
     warnings = tuple(text for text in (shared, unlabelled) if text)
     return ExportResult(Path(out), len(job.split_of), files, counts, warnings)
 
 
-def _fruit_without_label(format_name: str, selection: Selection, info: Mapping[str, Any]) -> str:
+def _fruit_without_label(export_format: ExportFormat, selection: Selection, info: Mapping[str, Any]) -> str:
     """Warn of fruit in the images that a format leaves out, because its ripeness is not known; "" of none."""
-    has_ignored_areas = not format_name.startswith("yolo")
     is_labelled = "labels" in recorded_values(info, "greenhouse.far_rows_as")
-    if has_ignored_areas or not selection.is_divided or not is_labelled:
+    if export_format.has_crowds or not selection.is_divided or not is_labelled:
         return ""
     if not any(recorded_values(info, "greenhouse.far_rows")):
         return ""
@@ -195,7 +149,7 @@ def _fruit_without_label(format_name: str, selection: Selection, info: Mapping[s
     )
 
 
-def _check_options(options: Mapping[str, Any], format_name: str) -> None:
+def _check_options(options: Mapping[str, Any], export_format: ExportFormat) -> None:
     """Raise `ArgumentError` if an option is not valid or does not apply to a format."""
     smallest_px = options["smallest_px"]
     if smallest_px is not None and smallest_px < 1:
@@ -203,8 +157,8 @@ def _check_options(options: Mapping[str, Any], format_name: str) -> None:
     if options["truncated"] not in (None, DROP):
         raise ArgumentError("truncated", f"{options['truncated']!r} must be {KEEP} or {DROP}")
     for name, value in options.items():
-        if value is not None and FORMATS[format_name].smallest_px is None:
-            raise ArgumentError(name, f"{value} does not apply: {format_name} has no objects")
+        if value is not None and export_format.smallest_px is None:
+            raise ArgumentError(name, f"{value} does not apply: {export_format.name} has no objects")
     for name in ("least_visible", "ripe_from"):
         if options[name] is not None and not 0 <= options[name] <= 1:
             raise ArgumentError(name, f"{options[name]:g} must be 0 to 1")

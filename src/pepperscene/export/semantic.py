@@ -6,7 +6,6 @@ marks pixels to ignore, as in Cityscapes and PASCAL VOC.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from pepperscene.dataset.class_masks import class_mask, mask_selection
 from pepperscene.dataset.readers.labels import LABEL_FILE
 from pepperscene.dataset.selection import Category, Selection
 from pepperscene.dataset.store.images import png_bytes
-from pepperscene.export.job import ExportJob
+from pepperscene.export.job import ExportJob, write_json
 
 
 def write_semantic(job: ExportJob, folder: Path) -> None:
@@ -30,9 +29,7 @@ def write_semantic(job: ExportJob, folder: Path) -> None:
     table: dict[str, Any] = {"ignore": IGNORE_CLASS, "classes": records}
     if job.selection.is_divided:
         table["ripe_from"] = job.selection.ripe_from
-    (folder / "classes.json").write_text(
-        json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    write_json(folder / "classes.json", table)
     (folder / LABEL_FILE).write_text(_label_table(classes, job.selection), encoding="utf-8")
     for split, frames in job.frames_by_split():
         images, masks = folder / "images" / split, folder / "masks" / split
