@@ -24,7 +24,10 @@ _TEMPORARY_NAME: Final = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<process>\d+
 _RANDOM_BYTES: Final = 8  # chosen: too many to guess the name before the file exists
 _LOCK_S: Final = 60.0  # chosen: longer than the tables of a million frames take, and no wait for ever
 _LOCK_INTERVAL_S: Final = 0.02  # chosen
-_IN_DATA_SETS: Final = ("dataset.json", "frames")  # by which the folder of a data set is known
+SYSTEM_FILES: Final = frozenset({".DS_Store", "Thumbs.db"})
+"""Files that file managers write into every folder that they show."""
+
+_DATA_SET_FILES: Final = ("dataset.json", "frames")  # by which the folder of a data set is known
 _LINE_LEVELS: Final = 2  # chosen: JSON levels with one entry per line, so that a diff shows which one changed
 
 
@@ -35,8 +38,10 @@ def atomic_write(path: Path) -> Iterator[Path]:
     The content is flushed to the disk before the rename: after a power cut there is the old file or the new
     one. If the block raises, the temporary file is removed and `path` stays unchanged.
     """
-    temporary = _create_temporary(path)
+    temporary = temporary_path(path)
     try:
+        # The name is random and must not exist: another user's link there is not followed.
+        temporary.open("xb").close()
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
@@ -45,32 +50,28 @@ def atomic_write(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write one file atomically."""
-    temporary = temporary_path(path)
-    try:
-        _write_new(temporary, content)
-        os.replace(temporary, path)
-    finally:
-        _remove_if_left(temporary)
+def write_file(path: Path, content: bytes, is_valid: Callable[[], bool] | None = None) -> bool:
+    """Write one file atomically; returns whether it was written.
 
-
-def write_file_if(path: Path, content: bytes, is_valid: Callable[[], bool]) -> bool:
-    """Write one file atomically if a condition holds at the moment of the rename; returns whether it did.
-
-    Of several processes that call this for files of one folder, one at a time checks and renames, as far as
-    the file system has locks. Flushing, which takes longest, is not part of that.
+    Args:
+        path: of the file.
+        content: of the file.
+        is_valid: condition at the moment of the rename. Of several processes that write files of one folder
+            with a condition, one at a time checks and renames, as far as the file system has locks.
     """
     temporary = temporary_path(path)
     try:
         _write_new(temporary, content)
-        with exclusive_access(path.parent):
-            if not is_valid():
-                return False
+        if is_valid is None:
             os.replace(temporary, path)
             return True
+        with exclusive_access(path.parent):
+            if is_valid():
+                os.replace(temporary, path)
+                return True
+            return False
     finally:
-        _remove_if_left(temporary)
+        temporary.unlink(missing_ok=True)
 
 
 def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Path] = ()) -> tuple[Path, ...]:
@@ -144,7 +145,9 @@ def sole_writer(folder: Path) -> Iterator[None]:
     created: list[Path] = []
     try:
         make_folder(folder, created)
-        with _lock(folder):
+        with _lock(folder, 0.0) as is_free:
+            if not is_free:
+                raise OutputError(f"{folder}: another process is writing to it; choose another folder")
             yield
     except OSError as error:
         raise write_error(error, folder) from None
@@ -154,52 +157,39 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _lock(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder; raises `OutputError` if another process holds it."""
-    try:
-        import fcntl
-    except ImportError:
-        # Windows has no such locks.
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(f"{folder}: another process is writing to it; choose another folder") from None
-        except OSError:
-            # The file system has no locks.
-            pass
-        yield
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
 def exclusive_access(folder: Path) -> Iterator[None]:
     """Wait until no other process is in this block for the same folder, at most a minute.
 
     Only where system and file system have locks for folders. A lock ends with its process.
     """
+    with _lock(folder, _LOCK_S):
+        yield
+
+
+@contextmanager
+def _lock(folder: Path, wait_s: float) -> Iterator[bool]:
+    """Hold the lock of a folder; yields False if another process still holds it after `wait_s`."""
     try:
         import fcntl
     except ImportError:
         # Windows has no such locks.
-        yield
+        yield True
         return
-    descriptor = os.open(folder, os.O_RDONLY)
+    descriptor, end = os.open(folder, os.O_RDONLY), time.monotonic() + wait_s
     try:
-        end = time.monotonic() + _LOCK_S
-        while time.monotonic() < end:
+        is_free = False
+        while not is_free:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
+                is_free = True
             except BlockingIOError:
+                if time.monotonic() >= end:
+                    break
                 time.sleep(_LOCK_INTERVAL_S)
             except OSError:
-                break
-        yield
+                # The file system has no locks.
+                is_free = True
+        yield is_free
     finally:
         os.close(descriptor)
 
@@ -232,7 +222,7 @@ def _check_outside_data_sets(folder: Path) -> None:
     """Raise `OutputError` if a folder is that of a data set, or inside one."""
     resolved = folder.resolve()
     for path in (resolved, *resolved.parents):
-        if all((path / name).exists() for name in _IN_DATA_SETS):
+        if all((path / name).exists() for name in _DATA_SET_FILES):
             raise OutputError(f"{folder}: is inside the data set {path}; choose another folder")
 
 
@@ -280,7 +270,7 @@ def digest(path: Path, kind: FileKind = "values", *, within: Path | None = None)
 
 
 def temporary_path(path: Path) -> Path:
-    """A new random name beside a path, by which a later build finds out that this process has ended."""
+    """A new random name beside a path, with the machine and the process that write it."""
     token = secrets.token_hex(_RANDOM_BYTES)
     return path.with_name(f".{path.name}.{_host_name()}.{os.getpid()}.{token}.tmp")
 
@@ -288,6 +278,13 @@ def temporary_path(path: Path) -> Path:
 def is_temporary(path: Path) -> bool:
     """Whether a file is one of `atomic_write`'s, of a running build or left by a killed one."""
     return path.name.startswith(".") and path.name.endswith(".tmp")
+
+
+def visible_names(folder: Path) -> list[str]:
+    """The sorted names in a folder, without temporary files and those that file managers write."""
+    return sorted(
+        path.name for path in folder.iterdir() if not is_temporary(path) and path.name not in SYSTEM_FILES
+    )
 
 
 def remove_temporary_files(folder: Path, name: str = "") -> None:
@@ -298,15 +295,14 @@ def remove_temporary_files(folder: Path, name: str = "") -> None:
         name: of the file or folder that they were to become; "" for any.
     """
     for path in folder.iterdir():
-        with suppress(FileNotFoundError):
-            if not is_temporary(path) or not path.name.startswith(f".{name}"):
-                continue
-            if path.is_dir() and not path.is_symlink():
-                # The folder with the key of a cluster. A running build does not touch it for hours.
-                if _is_orphan(path):
-                    shutil.rmtree(path)
-            elif _is_orphan(path) or time.time() - path.stat().st_mtime > _STALE_S:
-                path.unlink(missing_ok=True)
+        if is_temporary(path) and path.name.startswith(f".{name}"):
+            with suppress(FileNotFoundError):
+                if path.is_dir() and not path.is_symlink():
+                    # A process that runs may not touch its folder for hours.
+                    if _is_orphan(path):
+                        shutil.rmtree(path)
+                elif _is_orphan(path) or time.time() - path.stat().st_mtime > _STALE_S:
+                    path.unlink()
 
 
 def _is_orphan(path: Path) -> bool:
@@ -320,7 +316,7 @@ def _is_orphan(path: Path) -> bool:
     except ProcessLookupError:
         return True
     except OSError:
-        return False
+        pass
     return False
 
 
@@ -334,22 +330,6 @@ def _write_new(path: Path, content: bytes) -> None:
         while view:
             view = view[file.write(view) :]
         os.fsync(file.fileno())
-
-
-def _remove_if_left(temporary: Path) -> None:
-    with suppress(FileNotFoundError):
-        os.unlink(temporary)
-
-
-def _create_temporary(path: Path) -> Path:
-    """Create the empty temporary file of a path.
-
-    In a folder that others can write to, nobody can put a link there before: the name is random, and the
-    file must not exist.
-    """
-    temporary = temporary_path(path)
-    temporary.open("xb").close()
-    return temporary
 
 
 @cache

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pepperscene import open_images
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.images import read_image, write_image
-from pepperscene.dataset.store.journal import Journal
+from pepperscene.dataset.store.journal import JOURNAL, read_timings
 from pepperscene.export import export_dataset
 from pepperscene.review.check import check_dataset
 
@@ -86,17 +86,9 @@ def test_metadata_of_a_frame(examples, folder):
 
 @EXAMPLES
 def test_journal(examples, folder):
-    (path,) = folder.glob("**/journal.jsonl")
-    dataset = open_dataset(folder)
-    known = [(index, dataset.written_checksum(index)) for index in dataset.indices()]
-
-    def read(_):
-        journal = Journal(folder)
-        assert len(list(journal.rows(known))) == 2
-        assert all(index >= 0 for index in journal.wanted)
-        assert all(first < end for first, end in journal.damaged)
-
-    attempt_file(examples, path, [path.read_bytes()], read)
+    dataset, path = open_dataset(folder), folder / JOURNAL
+    known = {dataset.written_checksum(index) for index in dataset.indices()}
+    attempt_file(examples, path, [path.read_bytes()], lambda _: read_timings(folder, known))
 
 
 @EXAMPLES
@@ -114,15 +106,13 @@ def test_table(examples, folder, name):
 
 
 FILES = (
-    "dataset.json", "frames/000000.json", "journal", "manifest.parquet", "fruit.parquet", "colour", "class",
+    "dataset.json", "frames/000000.json", "manifest.parquet", "fruit.parquet", "colour", "class",
     "instance", "distance", "harvest",
 )  # fmt: skip
 
 
 def file_of(folder, name):
     """The file of that name or kind."""
-    if name == "journal":
-        return next(folder.glob("**/journal.jsonl"))
     return folder / name if "." in name else open_dataset(folder).path(0, name)
 
 
@@ -136,7 +126,7 @@ def test_check(examples, folder, name):
         changed = mutated(content, edits)
         path.write_bytes(changed)
         result = check_dataset(folder, workers=1)
-        if name not in {"dataset.json", "journal"}:
+        if name != "dataset.json":
             assert result.findings or changed == content
 
     # Every example reads all files of both frames.

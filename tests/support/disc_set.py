@@ -151,7 +151,7 @@ def sign(folder, index, changes=None, tables=True):
 
 
 def rewrite_manifest(folder):
-    (folder / "journal.jsonl").unlink(missing_ok=True)
+    (folder / "manifest.parquet").unlink(missing_ok=True)
     open_dataset(folder).write_tables()
 
 

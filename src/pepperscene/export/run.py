@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pepperscene.atomic import (
+    SYSTEM_FILES,
     check_can_create,
     make_folder,
     remove,
@@ -25,7 +26,6 @@ from pepperscene.dataset.splits import split_by_sets as split_by_sets
 from pepperscene.dataset.store.crop import fruit_name
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_info
-from pepperscene.dataset.store.folder import LITTER
 from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.export.formats import FORMATS, ExportFormat
@@ -265,6 +265,6 @@ def _check_out(out: Path, source: Path) -> None:
     if out.is_dir():
         # Those of an export that was killed do not count.
         remove_temporary_files(out)
-        content = sorted(path.name for path in out.iterdir() if path.name not in LITTER)
+        content = sorted(path.name for path in out.iterdir() if path.name not in SYSTEM_FILES)
     if content:
         raise OutputError(f"{out}: holds {content[0]!r}; choose an empty or a new folder")

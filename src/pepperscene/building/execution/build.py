@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,8 @@ from pepperscene.dataset.store.band_channels import unlit_bands
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.dataset_view import VIEWABLE, frames_html
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
-from pepperscene.dataset.store.journal import JOURNAL, Journal
+from pepperscene.dataset.store.journal import append_timings
+from pepperscene.dataset.store.manifest import Row
 from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS
@@ -150,21 +151,21 @@ def build(
     # Make the frames. The tables are also written when a build is interrupted.
     on_notice = options.on_notice or _ignore
     folder = OutputFolder(Path(out), job.info)
-    with Journal(Path(out)) as journal:
-        reporter = _Reporter(job, folder.dataset, journal, indices, on_frame or _ignore, on_notice)
-        try:
-            units = work_units(job.recipe.recipe.plan, indices, executor.size)
-            executor.make(job, Dispatcher(units, reporter.report, on_notice))
-            _finish(folder, journal, indices, job.outputs)
-        except BaseException:
-            with suppress(OutputError, OSError):
-                folder.remove_temporary_files()
-                folder.undo()
-                _write_tables(folder.dataset, journal)
-            raise
-    kept = set(indices).difference(reporter.made)
-    notes = (*reporter.errors.notes(), *_unlit_notes(folder.dataset, reporter.made, job.outputs))
-    return BuildResult(folder.dataset, tuple(sorted(reporter.made)), tuple(sorted(kept)), notes)
+    reporter = _Reporter(job, folder.dataset, len(indices), on_frame or _ignore, on_notice)
+    try:
+        units = work_units(job.recipe.recipe.plan, indices, executor.size)
+        executor.make(job, Dispatcher(units, reporter.report, on_notice))
+        _finish(folder, reporter.rows, indices, job.outputs)
+    except BaseException:
+        with suppress(OutputError, OSError):
+            folder.remove_temporary_files()
+            folder.undo()
+            _write_tables(folder.dataset, reporter.rows)
+        raise
+    made = sorted(reporter.rows)
+    kept = set(indices).difference(made)
+    notes = (*reporter.errors.notes(), *_unlit_notes(folder.dataset, made, job.outputs))
+    return BuildResult(folder.dataset, tuple(made), tuple(sorted(kept)), notes)
 
 
 def choose_executor(options: BuildOptions) -> Executor:
@@ -188,53 +189,42 @@ def choose_executor(options: BuildOptions) -> Executor:
 
 
 class _Reporter:
-    """Notes each complete frame in the journal, reports progress, and lists the frames that were made."""
+    """Logs and reports each complete frame, and keeps the rows of the frames that were made."""
 
     def __init__(
         self,
         job: BuildJob,
         dataset: Dataset,
-        journal: Journal,
-        indices: Sequence[int],
+        total: int,
         on_frame: Callable[[BuildProgress], None],
         on_notice: Callable[[str], None],
     ) -> None:
-        self._dataset, self._journal, self._indices = dataset, journal, indices
+        self._dataset, self._total = dataset, total
         self._on_frame, self._on_notice = on_frame, on_notice
-        self._throughput = Throughput(len(indices))
+        self._throughput = Throughput(total)
         self._preview = next((name for name in VIEWABLE if name in job.outputs), None)
         self._target = job.resolved_target
         self.errors = RenderingErrors()
-        self.made: list[int] = []
+        self.rows: dict[int, Row] = {}  # by index
 
     def report(self, done: FrameDone) -> None:
-        """Note and report one frame; raises `OutputError` if the journal cannot be written."""
-        throughput, total = self._throughput, len(self._indices)
-        try:
-            # The folder exists from the first frame on.
-            if not throughput.done:
-                self._start_journal()
-            self._journal.add(done.row)
-        except OSError as error:
-            raise write_error(error, self._dataset.folder) from None
+        """Log and report one frame; raises `OutputError` if the journal cannot be written."""
+        throughput = self._throughput
         throughput.count(done.made)
         self.errors.add(self._target, done.row.get("error_codes"), done.row.get("noise_codes"))
         if done.made:
-            self.made.append(done.index)
-            if len(self.made) == 1:
-                self._check_disk((total - throughput.done) * int(done.row["bytes"]))
+            try:
+                append_timings(self._dataset.folder, done.row)
+            except OSError as error:
+                raise write_error(error, self._dataset.folder) from None
+            self.rows[done.index] = done.row
+            if len(self.rows) == 1:
+                self._check_disk((self._total - throughput.done) * int(done.row["bytes"]))
         picture = None if self._preview is None else self._dataset.path(done.index, self._preview)
         rate, left_s = throughput.frames_per_s, throughput.left_s
-        self._on_frame(BuildProgress(done.index, throughput.done, total, done.made, rate, left_s, picture))
-
-    def _start_journal(self) -> None:
-        damaged = self._journal.skip_damaged()
-        if damaged:
-            self._on_notice(
-                f"{self._dataset.folder / JOURNAL}: damaged lines are skipped ({damaged}); "
-                "timings and requests of earlier builds that only they held are lost"
-            )
-        self._journal.want(self._indices)
+        self._on_frame(
+            BuildProgress(done.index, throughput.done, self._total, done.made, rate, left_s, picture)
+        )
 
     def _check_disk(self, needed: int) -> None:
         """Notify if the disk is too small for the remaining frames, if they are like the first one."""
@@ -246,7 +236,9 @@ class _Reporter:
             )
 
 
-def _finish(folder: OutputFolder, journal: Journal, indices: Sequence[int], outputs: tuple[str, ...]) -> None:
+def _finish(
+    folder: OutputFolder, rows: Mapping[int, Row], indices: Sequence[int], outputs: tuple[str, ...]
+) -> None:
     """Complete the folder of a build that has made all its frames.
 
     Raises `OutputError` if another program has removed some of them.
@@ -254,11 +246,9 @@ def _finish(folder: OutputFolder, journal: Journal, indices: Sequence[int], outp
     # What was removed while the build ran and is known completely is written again.
     try:
         folder.prepare(())
-        journal.refresh()
-        journal.want(indices)
     except OSError as error:
         raise write_error(error, folder.dataset.folder) from None
-    _write_tables(folder.dataset, journal)
+    _write_tables(folder.dataset, rows)
     lost = folder.lost_frames(indices, outputs)
     if lost:
         raise OutputError(
@@ -280,9 +270,9 @@ def _unlit_notes(dataset: Dataset, indices: Sequence[int], outputs: tuple[str, .
         )
 
 
-def _write_tables(dataset: Dataset, journal: Journal) -> None:
+def _write_tables(dataset: Dataset, rows: Mapping[int, Row]) -> None:
     if dataset.indices():
-        dataset.write_tables(journal)
+        dataset.write_tables(rows)
 
 
 def _ignore(_: object) -> None:

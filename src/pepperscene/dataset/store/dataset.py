@@ -4,8 +4,8 @@
 - `colour/006137.png` and so on: one folder for each output.
 - `frames/006137.json`: metadata of one frame; written last, so that a frame counts once this file exists. Its
   `checksum` is the SHA-256 of the rest; `outputs` holds that of each image.
-- `manifest.parquet`, `fruit.parquet`: one row per frame, or per fruit in each frame; see `manifest`.
-- `journal.jsonl`: timings, and the frames that were requested; see `journal`.
+- `manifest.parquet`, `fruit.parquet`: one row per frame, or per fruit in each; see `manifest`.
+- `journal.jsonl`: a log of timings.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from pepperscene.atomic import (
     exclusive_access,
     write_error,
     write_file,
-    write_file_if,
 )
 from pepperscene.camera.sensor.bands import Band
 from pepperscene.dataset.store.band_channels import recorded_bands
@@ -42,14 +41,18 @@ from pepperscene.dataset.store.frame_json import (
     read_json,
 )
 from pepperscene.dataset.store.images import encode_image, read_image
-from pepperscene.dataset.store.journal import Journal
+from pepperscene.dataset.store.journal import read_timings
 from pepperscene.dataset.store.manifest import (
     FRUIT,
+    FRUIT_COLUMNS,
     MANIFEST,
     Row,
+    frame_row,
     fruit_rows,
     open_table_file,
+    rows_table,
     table_columns,
+    table_schema,
     write_table,
 )
 from pepperscene.errors import InputError
@@ -66,7 +69,6 @@ FRAMES: Final = "frames"
 
 _CHECKSUM_LINE: Final = re.compile(rb'^"checksum": "([0-9a-f]{64})"', re.MULTILINE)
 _HEAD_BYTES: Final = 8192  # chosen: only the camera comes before the checksum, with one or two thousand bytes
-_TABLE_ATTEMPTS: Final = 5  # chosen: without a change meanwhile, the first one is the last
 
 
 def file_name(index: int, output: str) -> str:
@@ -129,60 +131,69 @@ class Dataset:
         """
         return self._read_table(FRUIT)
 
-    def write_tables(self, journal: Journal | None = None) -> None:
+    def write_tables(self, rows: Mapping[int, Row] | None = None) -> None:
         """Write `manifest.parquet`, and `fruit.parquet` if frames have the output `harvest`.
 
-        Rows come from the journal (None opens it), or else from the frame's own files. Several builds of one
-        folder may call this at the same time: the last table holds all frames. Raises `OutputError` if a
-        table cannot be written.
+        Several builds of one folder may call this at the same time: the last table holds all frames. Raises
+        `OutputError` if a table cannot be written.
+
+        Args:
+            rows: of frames that the caller has just written, by index, so that they need not be read again.
         """
-        journal = journal or Journal(self.folder)
         try:
+            # No frame is added meanwhile.
             with exclusive_access(self.folder / FRAMES):
-                for _ in range(_TABLE_ATTEMPTS):
-                    before = self._frames_state()
-                    journal.refresh()
-                    self._write_tables(journal)
-                    # Where the file system has no locks, another build may have added frames meanwhile.
-                    if self._frames_state() == before:
-                        break
+                self._write_manifest(rows or {})
+                harvested = [index for index in self.indices() if self.path(index, "harvest").is_file()]
+                if harvested:
+                    write_table(self.folder / FRUIT, rows_table(self._fruit_rows(harvested), FRUIT_COLUMNS))
         except OSError as error:
             raise write_error(error, self.folder / MANIFEST) from None
 
-    def _write_tables(self, journal: Journal) -> None:
-        indices = self.indices()
-        rows = journal.rows((index, self.written_checksum(index)) for index in indices)
-        frames = (self.intact(index).row() if row is None else row for index, row in rows)
-        known = (row for row in frames if row.get("index") is not None)
-        write_table(self.folder, MANIFEST, known, table_columns(MANIFEST, self.info))
-        harvested = [index for index in indices if self.path(index, "harvest").is_file()]
-        if harvested:
-            columns = table_columns(FRUIT, self.info)
-            write_table(self.folder, FRUIT, self._fruit_rows(harvested), columns)
+    def _write_manifest(self, rows: Mapping[int, Row]) -> None:
+        """Write one row for each frame: of the manifest so far if the frame is the same, or a new one."""
+        import pyarrow
 
-    def _frames_state(self) -> dict[str, tuple[int, int]]:
-        """Name, file number and time of each frame's JSON; it is another file after every change."""
-        state = {}
-        with os.scandir(self.folder / FRAMES) as entries:
-            for entry in entries:
-                with suppress(FileNotFoundError):
-                    status = entry.stat()
-                    state[entry.name] = (status.st_ino, status.st_mtime_ns)
-        return state
+        columns = table_columns(MANIFEST, self.info)
+        checksums = {index: self.written_checksum(index) for index in self.indices()}
+        table = table_schema(columns).empty_table()
+        with suppress(InputError, OSError, pyarrow.ArrowException):
+            existing = self._open_table(MANIFEST)
+            if existing.schema.equals(table.schema):
+                pairs = zip(existing["index"].to_pylist(), existing["checksum"].to_pylist(), strict=True)
+                kept = [index not in rows and checksums.get(index) == checksum for index, checksum in pairs]
+                table = existing.filter(kept)
+        for index in table["index"].to_pylist():
+            del checksums[index]
+
+        # Frames without a row: by this build, or read again.
+        timings = read_timings(self.folder, set(checksums.values()))
+        added = (
+            row
+            if (row := rows.get(index, {})).get("checksum") == checksum
+            else frame_row(self._content(index)) | timings.get(checksum, {})
+            for index, checksum in checksums.items()
+        )
+        new = rows_table((row for row in added if row["index"] is not None), columns)
+        write_table(self.folder / MANIFEST, pyarrow.concat_tables([table, new]).sort_by("index"))
+
+    def _fruit_rows(self, indices: list[int]) -> Iterator[Row]:
+        for index in indices:
+            # The next build repairs a damaged file.
+            with suppress(InputError, LookupError, TypeError, AttributeError):
+                yield from list(fruit_rows(index, read_json(self.path(index, "harvest"), within=self.folder)))
 
     def _read_table(self, name: str) -> pyarrow.Table:
-        from pyarrow import ArrowException, parquet
+        from pyarrow import ArrowException
 
-        path = self.folder / name
         with suppress(InputError, OSError, ArrowException, KeyError):
             known = self._open_table(MANIFEST, ["index", "checksum"])
             if self._is_current(known["index"].to_pylist(), known["checksum"].to_pylist()):
                 return self._open_table(name)
         self.write_tables()
-        if not path.is_file():
+        if not (self.folder / name).is_file():
             raise InputError(self.folder, "has no frame with the output harvest; build it first")
-        with open_table_file(path, self.folder) as file:
-            return parquet.read_table(file)
+        return self._open_table(name)
 
     def _open_table(self, name: str, columns: list[str] | None = None) -> pyarrow.Table:
         """Read a table whose pages have the right checksums."""
@@ -193,13 +204,12 @@ class Dataset:
 
     def _is_current(self, indices: list[int], checksums: list[str]) -> bool:
         """Whether the manifest lists all frames as they are."""
-        if tuple(indices) != self.indices():
-            return False
         # Only a frame that is as new as the table can have changed since.
         written = (self.folder / MANIFEST).stat().st_mtime_ns
-        if all(time < written for _, time in self._frames_state().values()):
-            return True
-        return [self.written_checksum(index) for index in indices] == checksums
+        return tuple(indices) == self.indices() and all(
+            self.frame_path(index).stat().st_mtime_ns < written or self.written_checksum(index) == checksum
+            for index, checksum in zip(indices, checksums, strict=True)
+        )
 
     def written_checksum(self, index: int) -> str:
         """The checksum in a frame's JSON, without a look at the rest; empty if there is none.
@@ -214,29 +224,26 @@ class Dataset:
             return match[1].decode() if match else ""
         return ""
 
-    def _fruit_rows(self, indices: list[int]) -> Iterator[Row]:
-        for index in indices:
-            # The next build repairs a damaged file.
-            with suppress(InputError, LookupError, TypeError, AttributeError):
-                yield from list(fruit_rows(index, read_json(self.path(index, "harvest"), within=self.folder)))
+    def _content(self, index: int) -> dict[str, Any]:
+        """The content of a frame's JSON; empty if it is not what a build wrote."""
+        with suppress(InputError):
+            metadata = self.metadata(index)
+            is_complete = metadata.get("index") == index and isinstance(metadata.get("outputs"), dict)
+            if is_complete and is_as_written(metadata):
+                return metadata
+        return {}
 
     def intact(self, index: int) -> FrameStatus:
         """The files of a frame that are exactly what the build wrote; none if its JSON is damaged."""
         written = self.written_checksum(index)
-        try:
-            metadata = self.metadata(index)
-            if not is_as_written(metadata) or metadata.get("index") != index:
-                return FrameStatus(written_checksum=written)
-            checksum = str(metadata.pop(CHECKSUM))
-            entries = metadata.pop("outputs").items()
-            outputs = {
-                str(name): entry
-                for name, entry in entries
-                if name in OUTPUTS
-                and _matches_entry(self.path(index, name), entry, OUTPUTS[name].file_kind, self.folder)
-            }
-        except (InputError, KeyError, AttributeError, TypeError):
-            return FrameStatus(written_checksum=written)
+        metadata = self._content(index)
+        checksum, entries = metadata.pop(CHECKSUM, ""), metadata.pop("outputs", {})
+        outputs = {
+            name: entry
+            for name, entry in entries.items()
+            if name in OUTPUTS
+            and _matches_entry(self.path(index, name), entry, OUTPUTS[name].file_kind, self.folder)
+        }
         return FrameStatus(metadata, outputs, checksum, written)
 
     def commit(
@@ -286,7 +293,7 @@ class Dataset:
         outputs = {**existing.outputs, **written}
         checksum = checksum_of({**merged, "outputs": outputs})
         content = canonical_json({**merged, "outputs": outputs, CHECKSUM: checksum})
-        is_unchanged = write_file_if(
+        is_unchanged = write_file(
             self.frame_path(index), content, lambda: self.written_checksum(index) == existing.written_checksum
         )
         return FrameStatus(merged, outputs, checksum, checksum) if is_unchanged else None

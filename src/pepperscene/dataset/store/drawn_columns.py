@@ -43,14 +43,6 @@ def drawn_columns(info: Mapping[str, Any]) -> dict[str, str]:
     return {**columns, **(_EXPOSURE if _has_exposures(recipe, kinds) else {})}
 
 
-def drawn_kinds(column: str) -> tuple[str, ...]:
-    """The types that one of these columns can have, depending on the recipe; none for other columns."""
-    if column.startswith(DRAWN):
-        return ("bool", "double", "string")
-    further = {**_SHARED, **_EXPOSURE}
-    return (further[column],) if column in further else ()
-
-
 def drawn_row(metadata: Mapping[str, Any], outputs: Iterable[str]) -> dict[str, Any]:
     """The values of a frame's JSON for all columns that `drawn_columns` can name, for any recipe."""
     row: dict[str, Any] = {name: metadata[name] for name in _SHARED if name in metadata}

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from pepperscene.atomic import (
     check_can_create,
-    is_temporary,
     remove,
     remove_temporary_files,
+    visible_names,
     write_json,
 )
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
@@ -20,14 +19,10 @@ from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
 from pepperscene.errors import InputError, OutputError, short_repr
 from pepperscene.frame import OUTPUTS
-from pepperscene.user_files import check_inside, read_file
+from pepperscene.user_files import check_inside
 
+SET_FILES: Final = (MARK, MANIFEST, FRUIT, JOURNAL, FRAMES, *OUTPUTS)
 REPORT_FILES: Final = ("index.html", "contact_sheet.png")
-OWN: Final = frozenset({MARK, FRAMES, MANIFEST, FRUIT, JOURNAL, *OUTPUTS, *REPORT_FILES})
-"""Names that a data set's folder holds."""
-
-LITTER: Final = frozenset({".DS_Store", "Thumbs.db"})
-"""Files that file managers write into every folder that they show."""
 
 _COMPARED: Final = ("format", "quality", "version", "recipe", "files")
 _MAX_DIFFERENCES: Final = 4  # chosen: listed in a message
@@ -43,16 +38,14 @@ class OutputFolder:
 
     def __init__(self, folder: Path, info: Mapping[str, Any]) -> None:
         self.dataset = Dataset(folder, {**info, CHECKSUM: checksum_of(info)})
-        inside = (MARK, MANIFEST, FRUIT, JOURNAL, FRAMES, *OUTPUTS)
-        paths = [*reversed(folder.parents), folder, *(folder / name for name in inside)]
+        paths = [*reversed(folder.parents), folder, *(folder / name for name in SET_FILES)]
         self._missing = [path for path in paths if not path.exists()]
 
     def prepare(self, outputs: tuple[str, ...]) -> None:
         """Make missing folders and `dataset.json`; other processes may do so at the same time."""
         self.dataset.folder.mkdir(parents=True, exist_ok=True)
-        info_file = self.dataset.folder / MARK
-        if not _is_intact(info_file):
-            write_json(info_file, self.dataset.info)
+        if not (self.dataset.folder / MARK).exists():
+            write_json(self.dataset.folder / MARK, self.dataset.info)
         for name in (*outputs, FRAMES):
             (self.dataset.folder / name).mkdir(exist_ok=True)
         self.remove_temporary_files()
@@ -89,57 +82,32 @@ def check_output_folder(folder: Path, info: Mapping[str, Any]) -> None:
 
 
 def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
-    names = sorted(path.name for path in folder.iterdir() if not is_temporary(path))
-    names = [name for name in names if name not in LITTER]
-    unexpected = next((name for name in names if name not in OWN), None)
+    names = visible_names(folder)
+    unexpected = next((name for name in names if name not in (*SET_FILES, *REPORT_FILES)), None)
     if unexpected is not None or (names and not (folder / MARK).is_file()):
         raise OutputError(
             f"{folder}: holds {unexpected or names[0]!r}, so it is not a data set; "
             "choose an empty or a new folder"
         )
-    for name in names:
-        try:
-            check_inside(folder / name, folder)
-        except InputError as error:
-            raise OutputError(str(error)) from None
-    if not names or _is_mendable(folder / MARK, info):
+    if not names:
         return
+    try:
+        for name in names:
+            check_inside(folder / name, folder)
+    except InputError as error:
+        raise OutputError(str(error)) from None
     try:
         existing = read_json(folder / MARK, within=folder)
     except InputError as error:
         raise OutputError(f"{error}; restore that file from a copy, or choose another folder") from None
-    if CHECKSUM in existing and not _is_intact(folder / MARK):
-        raise OutputError(
-            f"{folder / MARK}: is damaged, and is not of the data set that is to be built; "
-            "restore that file from a copy, or choose another folder"
-        )
+    if CHECKSUM in existing and not is_as_written(existing):
+        problem = "is damaged; restore that file from a copy, or choose another folder"
+        raise OutputError(f"{folder / MARK}: {problem}")
     differences = [text for name in _COMPARED for text in _differences(name, existing.get(name), info[name])]
     if differences:
         more = len(differences) - _MAX_DIFFERENCES
         listing = ", ".join(differences[:_MAX_DIFFERENCES]) + (f", and {more} more" if more > 0 else "")
         raise OutputError(f"{folder}: holds another data set: {listing}; choose another folder")
-
-
-def _is_intact(path: Path) -> bool:
-    """Whether a `dataset.json` is what was written."""
-    try:
-        return is_as_written(read_json(path, within=path.parent))
-    except InputError:
-        return False
-
-
-def _is_mendable(path: Path, info: Mapping[str, Any]) -> bool:
-    """Whether a damaged `dataset.json` was certainly that of `info`, by its checksum or by all the rest."""
-    if _is_intact(path):
-        return False
-    with suppress(InputError):
-        content = read_json(path, within=path.parent)
-        if {key: value for key, value in content.items() if key != CHECKSUM} == info:
-            return True
-    try:
-        return checksum_of(info).encode() in read_file(path, "json", within=path.parent)
-    except InputError:
-        return False
 
 
 def _differences(key: str, existing: Any, expected: Any) -> list[str]:

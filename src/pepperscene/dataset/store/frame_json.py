@@ -41,7 +41,7 @@ class FrameStatus:
 
     def row(self) -> Row:
         """The frame's row in the manifest, without timings."""
-        return frame_row(self.metadata, self.outputs, self.checksum)
+        return frame_row({**self.metadata, "outputs": self.outputs, CHECKSUM: self.checksum})
 
 
 def checksum_of(metadata: Mapping[str, Any]) -> str:

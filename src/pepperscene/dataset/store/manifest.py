@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.atomic import atomic_write
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_kinds, drawn_row
-from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
+from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_row
 from pepperscene.frame import OUTPUTS
 from pepperscene.user_files import check_file, read_file
 
@@ -29,9 +28,6 @@ Row = dict[str, Any]
 _ROWS_HELD: Final = 4096  # chosen: rows that are held in memory at a time, some megabytes
 _BOX: Final = ("x0", "y0", "x1", "y1")
 _INTEGER_BITS: Final = {"int32": 32, "int64": 64}
-
-TIMINGS: Final = ("render_s", "write_s", "worker")
-"""Columns of the manifest that only the journal knows."""
 
 FRAME_COLUMNS: Final[Mapping[str, str]] = {
     "index": "int64",
@@ -53,9 +49,9 @@ FRAME_COLUMNS: Final[Mapping[str, str]] = {
     "checksum": "string",
     **{f"{name}_sha256": "string" for name in OUTPUTS},
 }
-"""Columns of every manifest and their types, in Parquet's terms. Timings and the worker come from the journal
-and are unknown where it is lost; all other values can be read from the frames again. Recipes with variation
-have further columns; see `table_columns`."""
+"""Columns of every manifest and their types, in Parquet's terms. Timings and the worker are known only from
+the build; all other values are those of the frames' JSON. Recipes with variation have further columns; see
+`table_columns`."""
 
 FRUIT_COLUMNS: Final[Mapping[str, str]] = {
     "index": "int64",
@@ -80,12 +76,9 @@ FRUIT_COLUMNS: Final[Mapping[str, str]] = {
 """Columns of `fruit.parquet`: one row per fruit and frame; positions and directions in camera coordinates."""
 
 
-def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum: str) -> Row:
-    """The row of a frame, without timings: from its JSON, the entries of its images and its checksum.
-
-    Values of another type than their column's, which no build writes, are left out.
-    """
-    columns = ("index", "set", "rotation", "step", "seed", "recipe_seed")
+def frame_row(metadata: Mapping[str, Any]) -> Row:
+    """The row of a frame, without timings: from its JSON, of any content."""
+    columns = ("index", "set", "rotation", "step", "seed", "recipe_seed", "checksum")
     row: Row = {name: metadata.get(name) for name in columns}
     pose = _object(metadata, "camera").get("pose")
     if pose is not None and _is_matrix(pose):
@@ -94,18 +87,14 @@ def frame_row(metadata: Mapping[str, Any], outputs: Mapping[str, Any], checksum:
     row |= {f"pixels_{name}": count for name, count in _object(metadata, "class_pixels").items()}
     sampling = _object(metadata, "sampling")
     row |= {name: sampling.get(name) for name in ("samples_per_pixel", "error_codes", "noise_codes")}
-    entries = {name: entry for name, entry in outputs.items() if isinstance(entry, Mapping)}
+    outputs = _object(metadata, "outputs")
+    entries = {
+        name: entry for name, entry in outputs.items() if name in OUTPUTS and isinstance(entry, Mapping)
+    }
     row |= {f"{name}_sha256": entry.get("sha256") for name, entry in entries.items()}
     sizes = [entry.get("bytes") for entry in entries.values()]
     row["bytes"] = sum(size for size in sizes if isinstance(size, int))
-    row["checksum"] = checksum
-    row |= drawn_row(metadata, entries)
-    return {name: value for name, value in row.items() if _fits_any(name, value)}
-
-
-def fits_columns(row: Row) -> bool:
-    """Whether every value of a row can be stored in a column of its name in some manifest."""
-    return all(_fits_any(name, value) for name, value in row.items())
+    return row | drawn_row(metadata, entries)
 
 
 def table_columns(name: str, info: Mapping[str, Any]) -> Mapping[str, str]:
@@ -117,20 +106,12 @@ def stored_row(row: Row, columns: Mapping[str, str]) -> Row:
     """The values of a row that a table with these columns stores; those of other types are left out."""
     stored: Row = {}
     for name, kind in columns.items():
-        if (value := row.get(name)) is not None and _fits(kind, value := _text_of(value, kind)):
+        value = row.get(name)
+        if kind == "string" and isinstance(value, bool | int | float):
+            value = json.dumps(value)
+        if value is not None and _fits(kind, value):
             stored[name] = value
     return stored
-
-
-def _text_of(value: Any, kind: str) -> Any:
-    """A value for a column of a type; a text column holds numbers and Booleans as JSON."""
-    return json.dumps(value) if kind == "string" and isinstance(value, bool | int | float) else value
-
-
-def _fits_any(name: str, value: Any) -> bool:
-    """Whether a value can be stored in a column of this name in any manifest."""
-    kinds = (FRAME_COLUMNS[name],) if name in FRAME_COLUMNS else drawn_kinds(name) or (None,)
-    return any(_fits(kind, value) for kind in kinds)
 
 
 def _object(metadata: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -144,10 +125,8 @@ def _is_matrix(value: Any) -> bool:
     return len(is_line) == 4 and all(is_line)
 
 
-def _fits(kind: str | None, value: Any) -> bool:
-    """Whether a value can be stored in a column of a type; None (unknown) always can."""
-    if value is None or kind is None:
-        return value is None
+def _fits(kind: str, value: Any) -> bool:
+    """Whether a value can be stored in a column of a type."""
     if kind == "doubles":
         return isinstance(value, list) and all(_fits("double", number) for number in value)
     if kind in _INTEGER_BITS:
@@ -178,36 +157,30 @@ def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
             row |= {"peduncle": peduncle["instance"], "cut_visible": cut["visible"]}
             row |= _xyz("cut_{}_m", cut["camera_m"])
             row |= zip(("cut_u", "cut_v"), cut["px"] or (), strict=False)
-        yield {name: value for name, value in row.items() if _fits(FRUIT_COLUMNS.get(name), value)}
+        yield stored_row(row, FRUIT_COLUMNS)
 
 
 def _xyz(name: str, values: Any) -> Row:
     return {} if values is None else {name.format(axis): values[line] for line, axis in enumerate("xyz")}
 
 
-def write_table(folder: Path, name: str, rows: Iterator[Row], columns: Mapping[str, str]) -> None:
-    """Write `MANIFEST` or `FRUIT`, some thousand rows at a time, with a checksum of all values.
-
-    The columns are those of `table_columns`; see `stored_row` for the values.
-
-    Without statistics of columns, which readers use to skip rows: a damaged one would hide rows, and the
-    checksum of the values would not show it.
-    """
+def rows_table(rows: Iterable[Row], columns: Mapping[str, str]) -> pyarrow.Table:
+    """A table with these columns, which are those of `table_columns`; see `stored_row` for the values."""
     import pyarrow
+
+    schema, remaining = table_schema(columns), iter(rows)
+    parts = [schema.empty_table()]
+    while part := [stored_row(row, columns) for row in islice(remaining, _ROWS_HELD)]:
+        parts.append(pyarrow.Table.from_pylist(part, schema=schema))
+    return pyarrow.concat_tables(parts)
+
+
+def write_table(path: Path, table: pyarrow.Table) -> None:
+    """Write a table of a data set."""
     from pyarrow import parquet
 
-    schema, checksum = table_schema(columns), TableChecksum()
-    with (
-        atomic_write(folder / name) as temporary,
-        temporary.open("wb") as file,
-        parquet.ParquetWriter(file, schema, write_statistics=False, write_page_checksum=True) as writer,
-    ):
-        while part := [stored_row(row, columns) for row in islice(rows, _ROWS_HELD)]:
-            values = {column: [row.get(column) for row in part] for column in columns}
-            table = pyarrow.table(values, schema=schema)
-            checksum.add(table)
-            writer.write_table(table)
-        writer.add_key_value_metadata({CHECKSUM_KEY: checksum.hexdigest()})
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        parquet.write_table(table, file, write_page_checksum=True)
 
 
 def open_table_file(path: Path, folder: Path) -> pyarrow.NativeFile:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.atomic import (
+    SYSTEM_FILES,
     canonical_json,
     check_can_create,
     make_folder,
@@ -20,7 +21,6 @@ from pepperscene.atomic import (
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.open import open_images
 from pepperscene.dataset.readers.pictures import is_turned, read_photo, with_upright_exif
-from pepperscene.dataset.store.folder import LITTER
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
@@ -126,7 +126,7 @@ def _classes_json(table: ClassTable, values: NDArray[np.uint8]) -> dict[str, obj
 def _check_folder(folder: Path) -> None:
     """Raise `OutputError` if the folder cannot be written to, or holds anything but earlier predictions."""
     check_can_create(folder)
-    allowed = {*FOLDERS, CLASSES_NAME, *LITTER}
+    allowed = {*FOLDERS, CLASSES_NAME, *SYSTEM_FILES}
     others = (
         sorted(path.name for path in folder.iterdir() if path.name not in allowed) if folder.is_dir() else []
     )

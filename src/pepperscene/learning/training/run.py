@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pepperscene.atomic import check_can_create, is_temporary, sole_writer, write_error
+from pepperscene.atomic import check_can_create, sole_writer, visible_names, write_error
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
@@ -126,7 +126,7 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
     from pepperscene.learning.training.checkpoint import STATE_FILE, check_record
 
     # A killed training can leave temporary files, which are removed later.
-    names = {path.name for path in folder.iterdir() if not is_temporary(path)}
+    names = set(visible_names(folder))
     if not names:
         return
     if not names & {STATE_FILE, MODEL_FILE}:

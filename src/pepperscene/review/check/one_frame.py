@@ -140,10 +140,7 @@ def _class_fractions(classes: NDArray[np.uint8] | None) -> tuple[float, ...] | N
 
 
 def _row_digest(metadata: Mapping[str, Any], info: Mapping[str, Any]) -> int:
-    outputs = {name: entry for name, entry in json_object(metadata, "outputs").items() if name in OUTPUTS}
-    content = {key: value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
-    row = frame_row(content, outputs, str(metadata.get(CHECKSUM)))
-    return frame_row_digest(row, table_columns(MANIFEST, info))
+    return frame_row_digest(frame_row(metadata), table_columns(MANIFEST, info))
 
 
 def _fruit_digest(index: int, metadata: Mapping[str, Any], images: Mapping[str, Any]) -> int:

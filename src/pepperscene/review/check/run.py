@@ -12,7 +12,6 @@ from typing import Final
 
 from pepperscene.building.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
-from pepperscene.dataset.store.journal import JOURNAL, Journal
 from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, WorkerError
@@ -114,8 +113,8 @@ def check_dataset(
         folder: of the data set.
         workers: processes that read frames; None for one per core.
         on_frame: called after every frame with the number of frames done and the number of all.
-        frames: that must exist, "A:B" (0-based, half-open) or indices; None for those that builds
-            requested, which the journal lists, and those in the manifest.
+        frames: that must exist, "A:B" (0-based, half-open) or indices; None for those in the
+            manifest.
 
     Raises:
         InputError: the folder holds no data set, or an argument is not valid.
@@ -124,14 +123,9 @@ def check_dataset(
     dataset, findings = open_leniently(Path(folder))
     indices = dataset.indices()
     findings += stray_files(dataset, indices)
-    journal = Journal(dataset.folder)
-    findings += (
-        Finding("damaged", None, JOURNAL, f"bytes {first} to {end - 1} are not what was written")
-        for first, end in journal.damaged
-    )
     plan = _read_plan(dataset)
     if frames is None:
-        required: Sequence[int] = sorted(journal.wanted)
+        required: Sequence[int] = ()
     elif plan is None:
         raise InputError(dataset.folder / MARK, "must be valid to select frames", key="recipe.plan")
     else:
@@ -162,7 +156,6 @@ def check_dataset(
         finding
         for finding in check_tables(
             dataset,
-            journal,
             comparison.frame_digests("row"),
             comparison.frame_digests("fruit"),
             has_harvest,

@@ -1,4 +1,4 @@
-"""Checks of the tables of a data set: against their checksum, the frames and the journal."""
+"""Checks of the tables of a data set against its frames."""
 
 from __future__ import annotations
 
@@ -9,19 +9,17 @@ from itertools import groupby
 from typing import Any, Final
 
 from pepperscene.dataset.store.dataset import Dataset
-from pepperscene.dataset.store.journal import JOURNAL, Journal
+from pepperscene.dataset.store.journal import TIMINGS
 from pepperscene.dataset.store.manifest import (
     FRUIT,
     FRUIT_COLUMNS,
     MANIFEST,
-    TIMINGS,
     Row,
     open_table_file,
     stored_row,
     table_columns,
     table_schema,
 )
-from pepperscene.dataset.store.table_checksum import CHECKSUM_KEY, TableChecksum
 from pepperscene.errors import InputError
 from pepperscene.review.check.findings import Finding
 
@@ -34,7 +32,7 @@ def short_digest(content: bytes | memoryview) -> int:
 
 
 def frame_row_digest(row: Row, columns: Mapping[str, str]) -> int:
-    """Digest of a row in a manifest of these columns, without those that only the journal knows."""
+    """Digest of a row in a manifest of these columns, without timings, which no frame's JSON holds."""
     return _rows_digest([{**stored_row(row, columns), **dict.fromkeys(TIMINGS)}], columns)
 
 
@@ -60,7 +58,6 @@ def _as_stored(kind: str | None, value: Any) -> Any:
 
 def check_tables(
     dataset: Dataset,
-    journal: Journal,
     frame_digests: Mapping[int, int],
     fruit_digests: Mapping[int, int],
     harvest: bool,
@@ -69,13 +66,12 @@ def check_tables(
 
     Args:
         dataset: that the tables belong to.
-        journal: of the data set.
         frame_digests: digest of the expected row of the manifest for each frame.
         fruit_digests: digest of the expected rows of the table of fruit for each frame; 0 if unknown.
         harvest: whether there must be a table of fruit.
     """
     if (dataset.folder / MANIFEST).exists():
-        yield from _check_readable(MANIFEST, _check_manifest(dataset, journal, frame_digests))
+        yield from _check_readable(MANIFEST, _check_manifest(dataset, frame_digests))
     else:
         problem = "does not exist; the same build command writes it again"
         yield Finding("missing", None, MANIFEST, problem)
@@ -98,26 +94,21 @@ def _check_readable(name: str, findings: Iterator[Finding]) -> Iterator[Finding]
         yield Finding("damaged", None, name, f"cannot be read ({reason[:80]})")
 
 
-def _check_manifest(
-    dataset: Dataset, journal: Journal, frame_digests: Mapping[int, int]
-) -> Iterator[Finding]:
+def _check_manifest(dataset: Dataset, frame_digests: Mapping[int, int]) -> Iterator[Finding]:
     expected, columns = dict(frame_digests), table_columns(MANIFEST, dataset.info)
-    for rows in _read_batches(dataset, MANIFEST):
-        keys = [(int(row["index"]), str(row["checksum"])) for row in rows]
-        for row, (index, known) in zip(rows, journal.rows(keys), strict=True):
-            if index not in expected:
-                problem = "has a row for this frame, whose JSON does not exist"
-                yield Finding("incomplete", index, MANIFEST, problem)
-            elif expected.pop(index) != frame_row_digest(row, columns):
-                yield Finding("contradiction", index, MANIFEST, "disagrees with the JSON of this frame")
-            elif known is not None and any(row[name] != known.get(name) for name in TIMINGS):
-                yield Finding("contradiction", index, MANIFEST, f"disagrees with the timings in {JOURNAL}")
+    for row in _read_rows(dataset, MANIFEST):
+        index = int(row["index"])
+        if index not in expected:
+            problem = "has a row for this frame, whose JSON does not exist"
+            yield Finding("incomplete", index, MANIFEST, problem)
+        elif expected.pop(index) != frame_row_digest(row, columns):
+            yield Finding("contradiction", index, MANIFEST, "disagrees with the JSON of this frame")
     for index in sorted(expected):
         yield Finding("contradiction", index, MANIFEST, "has no row for this frame")
 
 
 def _check_fruit(dataset: Dataset, fruit_digests: Mapping[int, int]) -> Iterator[Finding]:
-    rows = (row for batch in _read_batches(dataset, FRUIT) for row in batch)
+    rows = _read_rows(dataset, FRUIT)
     found = {index: fruit_rows_digest(group) for index, group in groupby(rows, lambda row: int(row["index"]))}
     nothing = fruit_rows_digest(())
     for index in sorted(found.keys() | fruit_digests.keys()):
@@ -126,11 +117,10 @@ def _check_fruit(dataset: Dataset, fruit_digests: Mapping[int, int]) -> Iterator
             yield Finding("contradiction", index, FRUIT, "disagrees with the harvest of this frame")
 
 
-def _read_batches(dataset: Dataset, name: str) -> Iterator[list[Row]]:
-    """The rows of a table, some thousand at a time; raises `ValueError` if it is not what was written."""
+def _read_rows(dataset: Dataset, name: str) -> Iterator[Row]:
+    """The rows of a table, of which some thousand are in memory at a time."""
     from pyarrow import parquet
 
-    checksum = TableChecksum()
     with (
         open_table_file(dataset.folder / name, dataset.folder) as content,
         parquet.ParquetFile(content, page_checksum_verification=True) as file,
@@ -138,8 +128,4 @@ def _read_batches(dataset: Dataset, name: str) -> Iterator[list[Row]]:
         if not file.schema_arrow.equals(table_schema(table_columns(name, dataset.info))):
             raise ValueError("it has other columns than this version writes")
         for batch in file.iter_batches(_BATCH_ROWS):
-            checksum.add(batch)
-            yield batch.to_pylist()
-        written = (file.metadata.metadata or {}).get(CHECKSUM_KEY.encode(), b"").decode(errors="replace")
-    if written != checksum.hexdigest():
-        raise ValueError("its values are not those that were written: the checksum differs")
+            yield from batch.to_pylist()

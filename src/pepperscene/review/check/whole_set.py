@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.atomic import is_temporary
+from pepperscene.atomic import SYSTEM_FILES, is_temporary
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, Dataset, file_name
-from pepperscene.dataset.store.folder import LITTER, OWN
+from pepperscene.dataset.store.folder import REPORT_FILES, SET_FILES
 from pepperscene.dataset.store.frame_json import DIGITS, frame_index, is_as_written, read_json
 from pepperscene.errors import InputError, short_repr
 from pepperscene.frame import OUTPUTS
@@ -48,9 +48,9 @@ def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
     """Yield files that belong to no frame, from other programs or killed builds."""
     known = set(indices)
     for entry in sorted(os.scandir(dataset.folder), key=lambda entry: entry.name):
-        if entry.name in LITTER:
+        if entry.name in SYSTEM_FILES:
             continue
-        if entry.name not in OWN:
+        if entry.name not in (*SET_FILES, *REPORT_FILES):
             yield _stray_file(entry)
         elif entry.name == FRAMES or entry.name in OUTPUTS:
             if not entry.is_dir():
@@ -59,7 +59,7 @@ def stray_files(dataset: Dataset, indices: Sequence[int]) -> Iterator[Finding]:
             suffix = ".json" if entry.name == FRAMES else OUTPUTS[entry.name].suffix
             for file in os.scandir(entry):
                 index = frame_index(file.name, suffix)
-                if file.name not in LITTER and index not in known:
+                if file.name not in SYSTEM_FILES and index not in known:
                     yield _stray_file(file, f"{entry.name}/", index)
 
 

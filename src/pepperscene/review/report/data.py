@@ -138,7 +138,7 @@ def frame_records(dataset: Dataset) -> FrameRecords:
     for position, index in enumerate(indices):
         if (row := rows.get(index)) is None:
             metadata = read_frame(dataset, index)
-            row = stored_row(frame_row(metadata, metadata["outputs"], ""), stored_columns)
+            row = stored_row(frame_row(metadata), stored_columns)
         values = (row.get(name) for name in (*NUMBERS, *_PIXELS))
         table[position] = [np.nan if value is None else value for value in values]
         pairs = zip(variation, columns, strict=True)

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 from pepperscene.atomic import (
     canonical_json,
     check_can_create,
-    is_temporary,
     remove,
+    visible_names,
     write_files,
 )
 from pepperscene.camera import load_flash
 from pepperscene.cultivar import load_cultivar
-from pepperscene.dataset.store.folder import LITTER
 from pepperscene.errors import OutputError
 from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.load_camera import load_camera
@@ -90,10 +89,9 @@ def check_folder(folder: Path) -> None:
     """Raise an OutputError if a folder is not empty, or cannot be written to."""
     check_can_create(folder)
     try:
-        names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
+        names = visible_names(folder) if folder.exists() else []
     except OSError as error:
         raise OutputError(f"{folder}: cannot be used ({error.strerror})") from None
-    names = [name for name in names if name not in LITTER and not is_temporary(folder / name)]
     if names:
         raise OutputError(f"{folder}: contains {names[0]!r}; choose an empty or a new folder")
 
