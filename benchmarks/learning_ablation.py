@@ -44,7 +44,7 @@ from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
 from pepperscene.learning.experiments.sets import OUTPUTS, spread_frames
 from pepperscene.learning.training_options import TrainingOptions
 from pepperscene.materials import Surface
-from pepperscene.recipe.load import parse_changes, resolve_recipe
+from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 from pepperscene.review.report.data import evenly_spaced
 from pepperscene.scene import Scene
 

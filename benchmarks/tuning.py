@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from pepperscene.bench.records import describe_machine, machine_info
 from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.tuning.model.observables import hue_vectors, lab_derivatives, observables
 from pepperscene.tuning.model.problem import FitProblem, Observation

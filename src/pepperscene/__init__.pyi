@@ -82,8 +82,8 @@ from .materials import greenhouse_surfaces as greenhouse_surfaces
 from .materials import lambertian_surface as lambertian_surface
 from .materials import organ_surfaces as organ_surfaces
 from .materials import twine_surface as twine_surface
-from .recipe.load import load_recipe as load_recipe
 from .recipe.recipe import Recipe as Recipe
+from .recipe.resolve.load import load_recipe as load_recipe
 from .render import Renderer as Renderer
 from .render import render_scene as render_scene
 from .render.viewpoints import FruitObserver as FruitObserver

@@ -10,7 +10,7 @@ from pepperscene.bench.scenes import BenchSubject, resize_camera
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.geometry import rectangle
 from pepperscene.materials import lambertian_surface
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene import assemble_scene
 
 

@@ -19,8 +19,8 @@ from pepperscene.dataset.readers import open_images
 from pepperscene.errors import InputError
 from pepperscene.export import export_dataset
 from pepperscene.frame import Frame
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import white_reference
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import white_reference
 from pepperscene.review.check import check_dataset
 
 MULTISPECTRAL = {

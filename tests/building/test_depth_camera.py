@@ -18,7 +18,7 @@ from pepperscene.dataset.store.images import write_image
 from pepperscene.errors import InputError
 from pepperscene.export import export_dataset
 from pepperscene.frame import Frame
-from pepperscene.recipe.load import load_recipe, parse_changes
+from pepperscene.recipe.resolve.load import load_recipe, parse_changes
 from pepperscene.review.check import check_dataset
 
 IMAGER = (5, 7)

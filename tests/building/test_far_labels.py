@@ -20,7 +20,7 @@ from pepperscene.dataset.store.images import read_image
 from pepperscene.errors import InputError
 from pepperscene.export import export_dataset
 from pepperscene.frame import Frame
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.review.check import check_dataset
 from pepperscene.review.report import write_report
 from pepperscene.truth import class_colour, class_from_colour, class_pixel_counts

@@ -12,8 +12,8 @@ from pepperscene.building.execution.job import BuildOptions
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.plan import frame_seed
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene import view_frustums
 
 LABELS = ("class", "distance")

@@ -28,7 +28,7 @@ import numpy as np
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.building.scenes.frame_renderer import AssembledScene
 from pepperscene.geometry import sphere
 from pepperscene.materials import lambertian_surface

@@ -24,7 +24,7 @@ from pepperscene.building.execution.memory import (
 from pepperscene.building.execution.memory_check import check_memory, check_worker_memory
 from pepperscene.building.scenes.plant_export import export_plant
 from pepperscene.errors import ArgumentError, InputError, SetupError, WorkerError
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 
 class CrashingRenderer(StandIn):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pepperscene import load_lens, load_recipe
-from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolve.load_camera import load_camera
 
 
 @pytest.mark.parametrize("name", ["barth2018", "demo"])

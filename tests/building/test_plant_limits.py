@@ -22,7 +22,7 @@ from pepperscene.errors import InputError, SetupError
 from pepperscene.geometry import mesh_plant
 from pepperscene.geometry.triangle_counts import most_triangles
 from pepperscene.grammar import build_plant, draw_parameters
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 CHOSEN = 'chosen = "a test"'
 SMALL = {"row.plants_front": 1, "row.plants_back": 0}

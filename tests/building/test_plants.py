@@ -21,8 +21,8 @@ from pepperscene.classes import OrganClass
 from pepperscene.cultivar import interpolate_cultivars, load_cultivar
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.grammar import grow
-from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.plan import Stream, random_generator
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.tables import TwineTable
 from pepperscene.scene import Greenhouse
 

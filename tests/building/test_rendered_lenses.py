@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 COEFFICIENTS = {
     "plumb_bob": [-0.28, 0.09, 0.0012, -0.0008, -0.012],

@@ -28,7 +28,7 @@ import sys
 from stand_in import {renderer} as Renderer
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 recipe = load_recipe("barth2018", {{"cultivar": "kaite_february", "plan.sets": 2, "plan.rotations": 2,
     "plan.frames": 15, "row.plants_front": {front}, "row.plants_back": {back}}})
 options = BuildOptions("draft", workers=int(sys.argv[2]) or None, renderer=Renderer)

@@ -16,7 +16,7 @@ from pepperscene.building.scenes import plants
 from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene.far_rows import FAR_ROW_PLANTS
 
 SMALL = {

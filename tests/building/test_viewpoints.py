@@ -14,7 +14,7 @@ from pepperscene.building.viewpoints.recipe_visibility import ViewpointOptions, 
 from pepperscene.building.viewpoints.table import COLUMNS, METADATA_KEY, write_visibility
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import sphere
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 CHANGES = {
     "cultivar": "kaite_february",

@@ -104,7 +104,7 @@ def test_metadata_say_what_it_is():
     ],
 )
 def test_recipes_use_it_as_a_line_scanner(changes, key, problem):
-    from pepperscene.recipe.load import load_recipe
+    from pepperscene.recipe.resolve.load import load_recipe
 
     camera = {"sensor": "generic_line_scanner_vnir", "lens": "generic_line_scanner_38deg", "flash": "none"}
     base = {**{f"camera.{name}": value for name, value in camera.items()}, "camera.exposure_us": 5000}

@@ -20,7 +20,7 @@ import pepperscene
 from pepperscene.cli.application import app
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import EXIT_BAD_INPUT
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.shipped import shipped_folder
 from pepperscene.version import __version__
 

@@ -14,7 +14,7 @@ from pepperscene.building.execution.single_frame import render_frame
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 SENTENCE = "runs only with --allow-code (in Python, allow_code=True)"
 RECIPE = """

@@ -9,8 +9,8 @@ import tomllib
 
 import pytest
 
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.shipped import shipped_folder
 
 MEASURED = {

@@ -13,7 +13,7 @@ from hostile_files import CONTENTS, SET_FILES, TARGETS
 
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError, PepperError
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 
 NAMED = [f"{target.__name__} as " for target in TARGETS]
 DAMAGED = ["device", "pipe", "sparse", "outside"]

@@ -16,9 +16,9 @@ from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.drawn_columns import drawn_columns
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST
-from pepperscene.recipe.frame_values import frame_values
-from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.resolve.frame_setups import frame_values
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.variation.notation import parse_varied
 from pepperscene.recipe.variation.recorded import read_variation, recorded_draws
 from pepperscene.review.check import check_dataset

@@ -8,7 +8,7 @@ from pepperscene import open_patches
 from pepperscene.camera import load_lens
 from pepperscene.document import read_text, read_toml
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import read_spectra
 

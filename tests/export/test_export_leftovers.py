@@ -13,7 +13,7 @@ from stand_in import PYTHONPATH
 
 from pepperscene.errors import InputError, OutputError
 from pepperscene.export import export_dataset, run
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 _SCRIPT = """
 import os, signal, sys

@@ -13,8 +13,7 @@ from varied_set import FRAMES, make_varied_set
 
 from pepperscene.errors import InputError
 from pepperscene.export import export_dataset, read_splits, split_by_sets
-from pepperscene.recipe.moments import frames_of_moments, moments
-from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.plan import Plan, frames_of_moments, moments
 
 KEYS = ("moment", "twin", "rig_camera", "drawn")
 

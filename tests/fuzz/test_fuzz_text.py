@@ -14,7 +14,7 @@ from pepperscene.building.execution.slurm import read_slurm_file
 from pepperscene.camera import Camera, load_filter, load_flash, load_lens, load_sensor
 from pepperscene.cultivar import load_cultivar
 from pepperscene.document import read_toml
-from pepperscene.recipe.load import parse_changes, resolve_recipe
+from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 from pepperscene.scene import load_cover
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import read_provenance, read_spectra

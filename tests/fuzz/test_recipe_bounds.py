@@ -13,8 +13,8 @@ from pydantic import BaseModel
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 SPECIAL = (0, 0.0, -0.0, 1, -1, 1e-308, 1e308, -1e308, math.nan, math.inf, -math.inf, 2**62, 10**30)
 BASE = {

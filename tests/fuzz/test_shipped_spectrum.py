@@ -6,7 +6,7 @@ import tomllib
 
 import tomli_w
 
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.shipped import shipped_folder
 
 LED = "light/houser2013_cool_white_led"

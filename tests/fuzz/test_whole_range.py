@@ -15,7 +15,7 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.errors import InputError
 from pepperscene.frame import OUTPUTS
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 OUTPUT_SETS = (
     ("colour", "class", "instance"),

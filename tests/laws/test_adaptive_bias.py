@@ -22,7 +22,7 @@ from small_scenes import plants_view
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera, camera_rgb, correct_colours
 from pepperscene.classes import OrganClass
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 

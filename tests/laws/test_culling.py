@@ -9,7 +9,7 @@ import pytest
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import develop
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 
 FEW = {"row.plants_front": 2, "row.plants_back": 1, "cultivar": "kaite_february"}

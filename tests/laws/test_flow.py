@@ -12,7 +12,7 @@ from test_ground_truth import cast_rays, distorted_view_of_plants
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import arc_path
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 

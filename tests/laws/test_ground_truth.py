@@ -16,7 +16,7 @@ from pepperscene.camera import Distortion, arc_path, relative_illumination
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 

@@ -25,7 +25,7 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera, Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.truth.encodings import decode_rle
 

@@ -20,7 +20,7 @@ import pytest
 from small_scenes import bright_day
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import render_scene
 from pepperscene.review.check.edges import CHANCE, match_edges
 

@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 
 from pepperscene.colour import MeasuredSpectrum, PatchSet
 from pepperscene.cultivar import Cultivar, PigmentPath, Pigments, load_cultivar
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum
 from pepperscene.tuning.fit.least_squares import fit_parameters
 from pepperscene.tuning.model.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel

@@ -10,7 +10,7 @@ from test_harvest import DISTORTION
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Motion
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.truth.encodings import decode_rle
 

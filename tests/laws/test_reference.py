@@ -19,7 +19,7 @@ from pepperscene.camera import AngularProfile, Camera, expected_electrons, load_
 from pepperscene.classes import Appearance
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import QUALITIES, Renderer
 from pepperscene.render.reference.emitters import daylight_emitter
 from pepperscene.render.reference.path_tracer import SAMPLERS, path_scene, path_traced, samples_taken

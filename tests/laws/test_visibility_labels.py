@@ -19,7 +19,7 @@ import pytest
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.viewpoints import BoxWorkspace, ReachTest, random_poses
 from pepperscene.camera import Camera
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import FruitObserver
 

@@ -16,7 +16,7 @@ from pepperscene.learning.tasks.view_planners import PlanningState, arc_planner,
 from pepperscene.learning.tasks.view_scenes import ViewTask, covered_fraction, view_scenes
 from pepperscene.learning.tasks.view_task import ORACLE, evaluate_planners, plan_views
 from pepperscene.learning.tasks.voxel_planner import VOXEL_M, VoxelMap, VoxelPlanner
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 
 SMALL = {
     "cultivar": "kaite_february", "row": {"plants_front": 1, "plants_back": 0},

@@ -13,7 +13,7 @@ from pepperscene import BuildOptions, build, open_dataset
 from pepperscene.building.scenes.frame_renderer import mitsuba_renderer
 from pepperscene.camera import load_flash
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.scene import load_cover
 from pepperscene.shipped import shipped_folder
 

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from pepperscene.cli import app
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 
 SYNTAX_ERROR = "def poses(:\n"
 FAULTY_FUNCTIONS = {

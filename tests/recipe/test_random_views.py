@@ -15,7 +15,7 @@ from pepperscene.camera import Camera, Distortion, load_lens, load_sensor
 from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry import Mesh
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.views import random_views
 from pepperscene.recipe.views.aim import aimed_rotations, directions, image_rays
 from pepperscene.recipe.views.free_space import FreeSpace, closed_parts, winding_number

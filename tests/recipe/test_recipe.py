@@ -10,7 +10,7 @@ import tomli_w
 
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.shipped import shipped_folder
 
 RECIPES, PLANTS = shipped_folder("recipes"), shipped_folder("plants")

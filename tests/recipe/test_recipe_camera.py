@@ -15,8 +15,8 @@ from pepperscene.camera.sensor.readout import GAIN_RANGE, LARGEST_MATRIX_ENTRY
 from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.recipe.camera_tables import DevelopingTable
-from pepperscene.recipe.load import load_recipe, parse_changes, resolve_recipe
-from pepperscene.recipe.load_camera import surface_wavelengths
+from pepperscene.recipe.resolve.load import load_recipe, parse_changes, resolve_recipe
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.spectra import Spectrum
 
 

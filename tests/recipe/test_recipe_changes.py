@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.recipe.load import load_recipe, parse_changes
+from pepperscene.recipe.resolve.load import load_recipe, parse_changes
 from pepperscene.shipped import shipped_folder
 
 PRINTABLE = st.characters(exclude_categories=("C", "Z"), include_characters=" ")

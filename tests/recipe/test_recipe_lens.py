@@ -9,7 +9,7 @@ import yaml
 
 from pepperscene.camera import load_sensor
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe, resolve_recipe
+from pepperscene.recipe.resolve.load import load_recipe, resolve_recipe
 
 SIZE = {"camera.width": 1280, "camera.height": 720}
 INTRINSICS = {"camera.fx": 900.0, "camera.fy": 905.0, "camera.cx": 640.5, "camera.cy": 355.0}

@@ -10,8 +10,8 @@ import pytest
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.cultivar import interpolate_cultivars, load_cultivar
 from pepperscene.errors import ArgumentError
-from pepperscene.recipe.load import load_recipe, parse_changes
-from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.resolve.load import load_recipe, parse_changes
+from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.recipe.tables import GreenhouseTable
 from pepperscene.shipped import shipped_folder
 

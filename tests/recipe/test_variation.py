@@ -15,10 +15,9 @@ from scipy.stats import chisquare, kstest, loguniform, pearsonr, uniform
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
-from pepperscene.recipe.frame_setups import FrameSetups
-from pepperscene.recipe.frame_values import frame_values
-from pepperscene.recipe.load import load_recipe, resolve_recipe
-from pepperscene.recipe.views.camera_views import CameraViews
+from pepperscene.recipe.resolve.camera_views import CameraViews
+from pepperscene.recipe.resolve.frame_setups import FrameSetups, frame_values
+from pepperscene.recipe.resolve.load import load_recipe, resolve_recipe
 from pepperscene.scene import Greenhouse
 
 FRAMES = 600

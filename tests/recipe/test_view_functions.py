@@ -111,7 +111,7 @@ class OneFrame:
 @pytest.mark.parametrize(("shift_m", "is_same"), [(0.0, True), (1e-3, False)])
 def test_outputs_are_added_to_the_recorded_pose_only(recipe, tmp_path, monkeypatch, shift_m, is_same):
     from pepperscene.building.execution.job import BuildJob, BuildOptions
-    from pepperscene.recipe.resolved import load_files
+    from pepperscene.recipe.resolve.resolved import load_files
 
     (tmp_path / "views.py").write_text(FUNCTION.format(body="pass"))
     table = FunctionViews(kind="function", file=str(tmp_path / "views.py"))

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
-from pepperscene.recipe.frame_setups import FrameSetups
-from pepperscene.recipe.load import load_recipe, resolve_recipe
-from pepperscene.recipe.views.camera_views import CameraViews
+from pepperscene.recipe.resolve.camera_views import CameraViews
+from pepperscene.recipe.resolve.frame_setups import FrameSetups
+from pepperscene.recipe.resolve.load import load_recipe, resolve_recipe
 from pepperscene.scene import Greenhouse
 
 PLAN = "plan = { sets = 1, rotations = 1, frames = 3 }\n"

@@ -19,7 +19,7 @@ from pepperscene.camera import Distortion, look_at
 from pepperscene.classes import OrganClass
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import concatenate_meshes
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import observer as observer_module
 from pepperscene.render.viewpoints.fruit_parts import FruitPart

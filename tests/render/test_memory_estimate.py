@@ -14,8 +14,8 @@ from pepperscene.camera import Motion
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.geometry import compilation, mesh_plant
 from pepperscene.grammar import grow
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.plan import Stream, random_generator
+from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory, written_memory
 
@@ -149,7 +149,7 @@ PEAK = """
 import json, resource
 from dataclasses import replace
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.render import QUALITIES
 from pepperscene.render.memory import frame_memory
 from pepperscene.building.scenes.plant_size import plant_triangles

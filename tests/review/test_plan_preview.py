@@ -20,8 +20,8 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer, SceneKeepe
 from pepperscene.camera.pose_files.pose_files import read_poses
 from pepperscene.durations import format_duration
 from pepperscene.errors import ArgumentError
-from pepperscene.recipe.frame_setups import FrameSetups
-from pepperscene.recipe.load import resolve_recipe
+from pepperscene.recipe.resolve.frame_setups import FrameSetups
+from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.review.preview import picture
 from pepperscene.review.preview import places as places_module
 from pepperscene.review.preview.cost import ProbeFrame, build_seconds

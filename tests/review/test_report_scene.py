@@ -21,9 +21,9 @@ from pepperscene.classes import OrganClass
 from pepperscene.cli import app
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.geometry import concatenate_meshes
-from pepperscene.recipe.frame_setups import FrameSetups
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.recipe import digest
+from pepperscene.recipe.resolve.frame_setups import FrameSetups
+from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.review.report import scene_view as module
 from pepperscene.review.report import write_report
 from pepperscene.review.report.packed import unpack

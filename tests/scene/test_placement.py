@@ -14,7 +14,7 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import JointRotation, concatenate_meshes, mesh_plant, move_plant, rectangle
 from pepperscene.grammar import grow
 from pepperscene.materials import lambertian_surface
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene import Scene, Skeleton, assemble_scene, build_skeleton
 
 MESH = concatenate_meshes(

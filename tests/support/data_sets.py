@@ -11,7 +11,7 @@ from pepperscene.building.execution.job import BuildOptions
 from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.geometry import rectangle
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene import assemble_scene
 
 TABLES = frozenset({"manifest.parquet", "fruit.parquet", "journal.jsonl"})

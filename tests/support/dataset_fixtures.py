@@ -23,8 +23,8 @@ from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
-from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load import load_recipe
 
 
 class FakeRenderer(StandIn):

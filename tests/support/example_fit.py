@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet, linear_srgb_to_lab
-from pepperscene.recipe.load_camera import load_camera
-from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.resolve.load_camera import load_camera
+from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.spectra import Spectrum
 from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit, Start
 from pepperscene.tuning.parameters.parameter import select_parameters

@@ -65,7 +65,7 @@ def readers():
     from pepperscene.document import read_toml
     from pepperscene.geometry.fruit.scan_file import read_triangles
     from pepperscene.learning.tasks.predictions import READERS
-    from pepperscene.recipe.load import load_recipe
+    from pepperscene.recipe.resolve.load import load_recipe
     from pepperscene.spectra import read_spectra
 
     return {

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 
 STEPS = 12
 FRAMES = (5, 6, 17)  # two of the first rotation, one of the second

@@ -11,8 +11,8 @@ from test_convergence import sphere_and_leaf
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera, correct_colours
-from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 

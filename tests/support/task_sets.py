@@ -10,7 +10,7 @@ from pepperscene.building.execution.job import BuildOptions
 from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.frame import Frame
 from pepperscene.geometry import rectangle
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene import assemble_scene
 
 SIZE = (24, 32)

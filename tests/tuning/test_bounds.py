@@ -12,8 +12,8 @@ from simulated_fits import all_parameters
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.render.gradients.pigment_models import RANGES
 from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters

@@ -22,7 +22,7 @@ from pepperscene.camera import (
     load_sensor,
 )
 from pepperscene.colour import linear_srgb_to_lab
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.spectra import colour_science
 from pepperscene.tuning.model.observables import (
     OBSERVABLE_COUNT,

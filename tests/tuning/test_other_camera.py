@@ -23,8 +23,8 @@ from simulated_fits import KINDS, draw_values, no_patches, patch_delta_e
 from pepperscene.camera import Camera, load_sensor, reference_correction
 from pepperscene.colour import PatchSet
 from pepperscene.materials import organ_surfaces
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import surface_wavelengths
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.spectra import read_spectrum
 from pepperscene.tuning.fit import least_squares
 from pepperscene.tuning.model.target import TuningTarget

@@ -20,9 +20,9 @@ import pytest
 from scipy.stats import chi2
 from simulated_fits import HIDDEN, KINDS, Recovery, draw_names, draw_values, recover
 
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
-from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
+from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.tuning.fit.diagnostics import is_consistent
 from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.parameters.parameter import select_parameters

@@ -9,8 +9,8 @@ import pytest
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import ArgumentError
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
 from pepperscene.tuning.parameters.surface import CONTENT_FIELDS, state_distribution, visible_surfaces
 

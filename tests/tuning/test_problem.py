@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from simulated_fits import FEW_SAMPLES, no_patches
 
-from pepperscene.recipe.load import load_recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.tuning.model import observables, view_model
 from pepperscene.tuning.model.observables import OBSERVABLE_COUNT, SensorModel
 from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect

@@ -10,8 +10,8 @@ import pytest
 from pepperscene.colour import MeasuredSpectrum
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.spectra import Spectrum, read_spectrum
 from pepperscene.tuning.model.reflectance import (
     MODEL_ERROR,

@@ -7,9 +7,9 @@ import pytest
 
 from pepperscene.camera import decode_tone, pedestal
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
-from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
+from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.tuning import TuningTarget, simulate_patches
 from pepperscene.tuning.parameters.tuned import colour_steps, tuned_camera, tuned_parts
 

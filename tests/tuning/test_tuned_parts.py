@@ -12,8 +12,8 @@ from simulated_fits import all_parameters
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import leaf_body, rind_reflectance
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
 from pepperscene.tuning.parameters.surface import (
     CONTENT_FIELDS,

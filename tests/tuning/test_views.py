@@ -12,8 +12,8 @@ from pepperscene.camera import Distortion
 from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
 from pepperscene.materials import organ_surfaces
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import surface_wavelengths
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.model.target import TuningTarget

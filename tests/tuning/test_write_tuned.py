@@ -16,9 +16,9 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import colour_transform
 from pepperscene.cultivar import PigmentPath, Pigments, load_cultivar
 from pepperscene.errors import InputError, OutputError
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
-from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
+from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.tuning.output import write as write_module
 from pepperscene.tuning.output.parts import simplify_path
 from pepperscene.tuning.output.provenance import RunInfo, format_value, format_with_sd, toml_text

@@ -16,8 +16,8 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera, pedestal
 from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
-from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import Scene
 from pepperscene.version import __version__

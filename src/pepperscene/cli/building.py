@@ -66,7 +66,7 @@ def build(
     from pepperscene.building.execution.build import build as build_dataset
     from pepperscene.building.execution.job import BuildOptions
     from pepperscene.cli.progress import progress_reporter
-    from pepperscene.recipe.load import parse_changes, resolve_recipe
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
     if dry_run:
         options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
@@ -122,7 +122,7 @@ def render(
     from pepperscene.building.execution.job import BuildOptions
     from pepperscene.building.execution.single_frame import render_frame
     from pepperscene.cli.progress import render_status
-    from pepperscene.recipe.load import parse_changes, resolve_recipe
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=allow_code)
     options = BuildOptions(quality=quality, target_error=target_error, seed=seed)
@@ -136,7 +136,7 @@ def render(
 @handle_errors
 def recipes() -> None:
     """List the shipped recipes."""
-    from pepperscene.recipe.load import load_recipe
+    from pepperscene.recipe.resolve.load import load_recipe
     from pepperscene.shipped import shipped_folder
 
     for path in sorted(shipped_folder("recipes").glob("*.toml")):

@@ -27,7 +27,7 @@ from pepperscene.cli.progress import echo_progress
 
 if TYPE_CHECKING:
     from pepperscene.building.execution.job import BuildOptions
-    from pepperscene.recipe.resolved import ResolvedRecipe
+    from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 
 @app.command()
@@ -79,7 +79,7 @@ def select_frames(
     recipe: str, changes: list[str] | None, frames: str | None = None, *, allow_code: bool = False
 ) -> ResolvedRecipe:
     """A recipe with changes as for `--set`, which selects frames "A:B", or those of the recipe."""
-    from pepperscene.recipe.load import parse_changes, resolve_recipe
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
     values = parse_changes(changes or ())
     resolved = resolve_recipe(recipe, values, allow_code=allow_code)

@@ -170,7 +170,7 @@ def _views(request: _Request) -> TaskResult:
     from pepperscene.cli.viewpoints import parse_box
     from pepperscene.learning.tasks.view_scenes import ViewTask
     from pepperscene.learning.tasks.view_task import PLANNERS, evaluate_planners
-    from pepperscene.recipe.load import parse_changes, resolve_recipe
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
     request.check("methods", "views", "candidates", "box", "changes")
     planners = {**request.select(PLANNERS), **request.load_methods()}

@@ -73,7 +73,7 @@ def tune(
     json: JsonOption = False,
 ) -> None:
     """Fit a recipe to measured colours. Fits pigments, light and camera, and writes the tuned recipe."""
-    from pepperscene.recipe.load import load_recipe, parse_changes
+    from pepperscene.recipe.resolve.load import load_recipe, parse_changes
 
     changed_recipe = load_recipe(recipe, parse_changes(set or ()))
     names = _split_names(fit)
@@ -162,8 +162,8 @@ def _check_held_out(measured: PatchSet, held_out: Sequence[str]) -> None:
 def _select_parameters(
     recipe: Recipe, names: Sequence[str], bounds: Path | None = None
 ) -> tuple[Parameter, ...]:
-    from pepperscene.recipe.load_camera import load_camera
-    from pepperscene.recipe.resolved import load_recipe_cultivar
+    from pepperscene.recipe.resolve.load_camera import load_camera
+    from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
     from pepperscene.tuning.parameters.parameter import select_parameters
 
     return select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names, bounds)
@@ -172,8 +172,8 @@ def _select_parameters(
 def _list_parameters(recipe: Recipe, json: bool) -> None:
     """Print the parameters of a recipe that can be fitted."""
     from pepperscene.colour.comparison.tables import format_tables
-    from pepperscene.recipe.load_camera import load_camera
-    from pepperscene.recipe.resolved import load_recipe_cultivar
+    from pepperscene.recipe.resolve.load_camera import load_camera
+    from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
     from pepperscene.tuning.output.report import known_table
     from pepperscene.tuning.parameters.parameter import known_parameters
 

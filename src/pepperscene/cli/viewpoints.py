@@ -69,7 +69,7 @@ def visibility(
     """Compute what cameras see of each fruit, what hides it, and the next best views, without images."""
     from pepperscene.building.viewpoints.recipe_visibility import ViewpointOptions, recipe_visibility
     from pepperscene.building.viewpoints.table import check_table_path, write_visibility
-    from pepperscene.recipe.load import parse_changes, resolve_recipe
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
     check_table_path(out)
     options = ViewpointOptions(

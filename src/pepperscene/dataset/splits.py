@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from pepperscene.errors import ArgumentError
-from pepperscene.recipe.moments import frames_of_moments, moments
-from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.plan import Plan, frames_of_moments, moments
 
 DEFAULT_SPLIT: Final = "train"
 

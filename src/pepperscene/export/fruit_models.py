@@ -15,9 +15,9 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import MARK, Dataset
 from pepperscene.errors import InputError
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.version import __version__
 

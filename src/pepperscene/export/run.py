@@ -216,7 +216,7 @@ def _adding_command(dataset: Dataset, output: str) -> str:
 
 def _is_shipped_recipe(name: str, info: Mapping[str, Any]) -> bool:
     """Whether a data set was built with the shipped recipe of a name, unchanged."""
-    from pepperscene.recipe.load import resolve_recipe
+    from pepperscene.recipe.resolve.load import resolve_recipe
 
     if not is_file(shipped_folder("recipes") / f"{name}.toml"):
         return False

@@ -14,8 +14,7 @@ from pydantic import Field, PrivateAttr
 from pepperscene import atomic
 from pepperscene.document import Document, read_toml
 from pepperscene.recipe import camera_tables, tables
-from pepperscene.recipe.depth_tables import DepthCameraTable
-from pepperscene.recipe.exposure import AUTO, AutoExposureTable
+from pepperscene.recipe.camera_tables import AUTO, AutoExposureTable, DepthCameraTable
 from pepperscene.recipe.plan import Plan, check_seed
 from pepperscene.recipe.rig import MOST_CAMERAS, RigCamera, Twins
 from pepperscene.recipe.variation.varied import Varied

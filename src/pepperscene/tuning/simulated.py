@@ -18,7 +18,7 @@ from pepperscene.colour import Patch, PatchSet
 from pepperscene.colour.patches.patch import is_organ_kind
 from pepperscene.errors import ArgumentError
 from pepperscene.materials import organ_surfaces
-from pepperscene.recipe.load_camera import surface_wavelengths
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.model.target import TuningTarget
 from pepperscene.tuning.model.views import ORGANS, PIXELS, OrganView, with_surfaces

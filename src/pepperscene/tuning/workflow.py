@@ -122,8 +122,8 @@ def tune(
         OutputError: The folder is not empty, or cannot be written to.
         SetupError: The machine cannot render; nothing is written.
     """
-    from pepperscene.recipe.load import load_recipe
     from pepperscene.recipe.recipe import Recipe
+    from pepperscene.recipe.resolve.load import load_recipe
 
     source = extends if isinstance(recipe, Recipe) else recipe
     loaded = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)

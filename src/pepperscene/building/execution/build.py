@@ -25,7 +25,7 @@ from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 _RATE_FRAMES: Final = 200  # chosen: frames that the rate is averaged over, so that it follows changes
 _RATE_S: Final = 120.0  # chosen: seconds that it is averaged over, likewise

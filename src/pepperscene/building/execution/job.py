@@ -20,12 +20,12 @@ from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.errors import InputError
 from pepperscene.frame import Frame, check_band_outputs, check_outputs
-from pepperscene.recipe.frame_values import camera_name, frame_values
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.plan import FrameSpec, frame_seed
 from pepperscene.recipe.recipe import Recipe, digest
-from pepperscene.recipe.resolved import ResolvedRecipe
-from pepperscene.recipe.views.camera_views import check_further_cameras
+from pepperscene.recipe.resolve.camera_views import check_further_cameras
+from pepperscene.recipe.resolve.frame_setups import camera_name, frame_values
+from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.recipe.views_tables import FunctionViews
 from pepperscene.truth import class_pixel_counts
 from pepperscene.version import __version__

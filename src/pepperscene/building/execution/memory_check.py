@@ -17,8 +17,8 @@ from pepperscene.building.execution.memory import (
 from pepperscene.building.scenes.plant_size import plant_triangles
 from pepperscene.building.scenes.scene_size import scene_triangles
 from pepperscene.errors import ArgumentError, PepperError, SetupError
-from pepperscene.recipe.frame_values import frame_values
-from pepperscene.recipe.load_camera import load_camera
+from pepperscene.recipe.resolve.frame_setups import frame_values
+from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.views_tables import RandomViews
 
 if TYPE_CHECKING:

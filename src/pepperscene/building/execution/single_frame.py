@@ -18,7 +18,7 @@ from pepperscene.dataset.store.images import encode_image
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 FORMAT: Final = "pepperscene frame 1"
 METADATA: Final = "frame.json"

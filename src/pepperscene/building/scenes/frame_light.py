@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pepperscene.recipe.frame_setups import FrameSetup
+from pepperscene.recipe.resolve.frame_setups import FrameSetup
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera

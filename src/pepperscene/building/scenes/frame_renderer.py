@@ -18,13 +18,13 @@ from pepperscene.building.scenes.scene_builder import SceneBuilder, make_greenho
 from pepperscene.building.scenes.scene_worker import SceneWorker
 from pepperscene.building.scenes.surfaces import SurfaceFactory, SurfacePreparation, prepare_for_mitsuba
 from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfaces
-from pepperscene.recipe.frame_setups import FrameSetup, FrameSetups
-from pepperscene.recipe.load import resolve_recipe
-from pepperscene.recipe.load_camera import surface_wavelengths, white_reference
 from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolved import ResolvedRecipe
-from pepperscene.recipe.views.camera_views import CameraViews
+from pepperscene.recipe.resolve.camera_views import CameraViews
+from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
+from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths, white_reference
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera, WhiteReference

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.building.scenes.scene_builder import BuiltScene, SceneBuilder
 from pepperscene.recipe.plan import FrameSpec
-from pepperscene.recipe.views.camera_views import CameraViews, DrawnViews
+from pepperscene.recipe.resolve.camera_views import CameraViews, DrawnViews
 from pepperscene.recipe.views.near_plants import CoarsePlants
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.recipe.load_camera import surface_wavelengths
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 
 if TYPE_CHECKING:
     from pepperscene.building.scenes.frame_renderer import RendererFactory, SceneRenderer

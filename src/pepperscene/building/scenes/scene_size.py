@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from pepperscene.building.scenes.scene_builder import SceneBuilder
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 _COARSE: Final = 0.09
 """Triangles of a plant of the far rows over those of a plant at detail 1, at most: those of stalks; of blades

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pepperscene.building.scenes.scene_worker import SceneWorker
-from pepperscene.recipe.load_camera import GRID_STEP_NM
+from pepperscene.recipe.resolve.load_camera import GRID_STEP_NM
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pepperscene.atomic import atomic_write, check_can_write, write_error
 from pepperscene.building.viewpoints.recipe_visibility import SceneVisibility, ViewpointOptions
 from pepperscene.errors import ArgumentError
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:

@@ -25,10 +25,10 @@ from pepperscene.learning.experiments.splits import (
     real_folds,
     split_synthetic,
 )
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.recipe import digest
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 OUTPUTS: Final = ("colour", "class")
 """Of the frames that are built: all that training and evaluation read."""

@@ -23,9 +23,9 @@ from pepperscene.learning.tasks.view_planners import (
 from pepperscene.learning.tasks.view_scenes import ViewScene, ViewTask, covered_fraction, view_scenes
 from pepperscene.learning.tasks.voxel_planner import VoxelPlanner
 from pepperscene.learning.user_callable import user_errors
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 FloatArray = NDArray[np.float64]
 

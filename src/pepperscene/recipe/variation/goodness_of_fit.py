@@ -8,8 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.recipe.moments import moments
-from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.plan import Plan, moments
 from pepperscene.recipe.variation.varied import Level, Varied, VariedChoice, VariedInTurn, VariedNumber
 
 FEWEST_DRAWS: Final = 20  # chosen: with fewer, hardly any wrong distribution differs from the right one

@@ -11,7 +11,6 @@ from typing import Any, Final, get_args
 from pepperscene.cultivar import Distribution
 from pepperscene.errors import short_repr
 from pepperscene.recipe.plan import FrameSpec
-from pepperscene.recipe.variation.draws import as_json, draw_values
 from pepperscene.recipe.variation.varied import (
     LEVELS,
     Key,
@@ -20,6 +19,8 @@ from pepperscene.recipe.variation.varied import (
     VariedChoice,
     VariedInTurn,
     VariedNumber,
+    as_json,
+    draw_values,
     json_value,
 )
 

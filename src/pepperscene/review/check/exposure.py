@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from pepperscene.recipe.exposure import AUTO
+from pepperscene.recipe.camera_tables import AUTO
 from pepperscene.review.check.findings import json_object
 
 _DARK: Final = 40.0

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.building.scenes.scene_builder import SceneBuilder
-from pepperscene.recipe.frame_setups import FrameSetup
 from pepperscene.recipe.plan import Stream, random_generator
+from pepperscene.recipe.resolve.frame_setups import FrameSetup
 from pepperscene.recipe.views.random_views import RandomViewSettings
 from pepperscene.review.preview.places import CameraPlaces
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer, SceneKeeper
 from pepperscene.errors import ArgumentError
-from pepperscene.recipe.frame_values import camera_name
 from pepperscene.recipe.plan import FrameSpec
+from pepperscene.recipe.resolve.frame_setups import camera_name
 from pepperscene.recipe.views.random_views import RandomViewSettings, random_view_settings
 from pepperscene.recipe.views.targets import organ_centroid, target_instances
 from pepperscene.recipe.views_tables import PathViews, RandomViews

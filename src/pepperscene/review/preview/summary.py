@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pepperscene.recipe.frame_values import changed_recipe
-from pepperscene.recipe.load_camera import load_camera
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.frame_setups import changed_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.recipe.rig import FIRST_CAMERA
 from pepperscene.recipe.tables import PLANT_TABLES
 from pepperscene.recipe.views.aim import image_rays

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pepperscene.dataset.store.recorded_values import is_varied
-from pepperscene.recipe.exposure import AUTO
+from pepperscene.recipe.camera_tables import AUTO
 from pepperscene.review.report.markup import Html, element, joined
 
 

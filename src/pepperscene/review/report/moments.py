@@ -8,8 +8,7 @@ from typing import Any, Self, final
 
 from pepperscene.dataset.readers import RenderedSet
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.recipe.moments import moments
-from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.plan import Plan, moments
 from pepperscene.recipe.rig import FIRST_CAMERA
 from pepperscene.review.report.data import evenly_spaced
 

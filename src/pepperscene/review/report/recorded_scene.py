@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.document import validate
 from pepperscene.errors import InputError
-from pepperscene.recipe.frame_setups import FrameSetups
-from pepperscene.recipe.load import resolve_recipe
 from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.recipe import Recipe, digest
-from pepperscene.recipe.resolved import ResolvedRecipe
+from pepperscene.recipe.resolve.frame_setups import FrameSetups
+from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.version import __version__
 

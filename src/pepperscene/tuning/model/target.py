@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
-from pepperscene.recipe.exposure import AUTO
+from pepperscene.recipe.camera_tables import AUTO
 from pepperscene.tuning.model.observables import observables
 from pepperscene.tuning.model.problem import NO_NEIGHBOURS, FitProblem, NeighbourEffect, Observation
 from pepperscene.tuning.model.reflectance import DirectModel

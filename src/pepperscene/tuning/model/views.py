@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
-from pepperscene.recipe.load_camera import surface_wavelengths
 from pepperscene.recipe.plan import Stream, random_generator
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from pepperscene.camera import Camera, Flash, colour_transform
-from pepperscene.recipe.load import load_recipe
 from pepperscene.recipe.recipe import FILE_FOLDERS, Recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.output.provenance import RunInfo, describe_colours, describe_values, toml_text
 

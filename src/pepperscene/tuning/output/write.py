@@ -18,10 +18,10 @@ from pepperscene.atomic import (
 from pepperscene.camera import load_flash
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import OutputError
-from pepperscene.recipe.load import load_recipe
-from pepperscene.recipe.load_camera import load_camera
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolved import load_recipe_cultivar
+from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.resolve.load_camera import load_camera
+from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.recipe.tables import NONE
 from pepperscene.tuning.output.figure import BeforeAfter, before_after_png
 from pepperscene.tuning.output.parts import changed_paths, cultivar_text, flash_changed, flash_files

@@ -10,9 +10,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from pepperscene.document import Document, toml_key, validate
 from pepperscene.errors import InputError
-from pepperscene.recipe.frame_values import changed_recipe, recipe_tables, twin_changes
-from pepperscene.recipe.merge import has_field
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.frame_setups import changed_recipe, recipe_tables, twin_changes
+from pepperscene.recipe.resolve.merge import has_field
 from pepperscene.recipe.rig import FIRST_CAMERA
 from pepperscene.recipe.tables import PLANT_TABLES
 from pepperscene.recipe.variation.extract import FIXED, OVERRIDE, extract_varied, set_value

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from pepperscene.errors import InputError
 from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, STEREO_OUTPUTS
-from pepperscene.recipe.frame_setups import FrameSetup, FrameSetups
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
 from pepperscene.recipe.views.fixed_views import View, fixed_view
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews, Views
 

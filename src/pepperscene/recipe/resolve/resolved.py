@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pepperscene.errors import NEEDS_PERMISSION, InputError
-from pepperscene.recipe.load_camera import NamedFiles, load_camera
-from pepperscene.recipe.load_depth_camera import load_depth_camera
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load_camera import NamedFiles, load_camera, load_depth_camera
 from pepperscene.recipe.tables import NONE, GrowthTable
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews
 

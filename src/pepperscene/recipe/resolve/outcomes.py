@@ -11,11 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from pepperscene.errors import InputError
-from pepperscene.recipe.frame_values import as_written, changed_recipe, twin_changes
-from pepperscene.recipe.load_camera import NamedFiles, load_camera
-from pepperscene.recipe.load_depth_camera import load_depth_camera
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolved import (
+from pepperscene.recipe.resolve.frame_setups import as_written, changed_recipe, twin_changes
+from pepperscene.recipe.resolve.load_camera import NamedFiles, load_camera, load_depth_camera
+from pepperscene.recipe.resolve.resolved import (
     check_growth,
     check_gutters,
     check_views,
