@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 import pepperscene as ps
 from pepperscene.bench.image_errors import develop_codes
 from pepperscene.bench.records import describe_machine, machine_info, peak_memory_mib
-from pepperscene.frame import DEFAULT_OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.render import QUALITIES
 
 REFERENCE: Final = dataclasses.replace(QUALITIES["reference"], samples=64, soft=32, most=64)

@@ -34,12 +34,12 @@ from pycocotools import mask as coco_mask
 from skimage.color import lab2rgb
 
 import pepperscene as ps
+from pepperscene.building.scenes.portrait import portrait
 from pepperscene.camera import spline_trajectory
 from pepperscene.colour.comparison import similarity
 from pepperscene.colour.statistics import bin_angles
-from pepperscene.review.report.colours import distance_colours, instance_colours
-from pepperscene.building.scenes.portrait import portrait
 from pepperscene.render.quality import Quality
+from pepperscene.review.report.colours import distance_colours, instance_colours
 from pepperscene.tuning import TuningTarget, fit_parameters, write_tuned
 
 ROOT: Final = Path(__file__).parents[2]

@@ -30,8 +30,8 @@ from pepperscene import (
     load_sensor,
     look_at,
 )
-from pepperscene.camera import Developing
 from pepperscene.building.scenes.portrait import portrait
+from pepperscene.camera import Developing
 
 PHOTOS: Final = Path(__file__).parents[1] / "photos"
 SIZE: Final = (613, 346)

@@ -55,8 +55,6 @@ from .errors import OutputError as OutputError
 from .errors import PepperError as PepperError
 from .errors import SetupError as SetupError
 from .export import export_dataset as export_dataset
-from .frame import DEFAULT_OUTPUTS as DEFAULT_OUTPUTS
-from .frame import OUTPUTS as OUTPUTS
 from .frame import Frame as Frame
 from .geometry import ContactCounts as ContactCounts
 from .geometry import Mesh as Mesh
@@ -82,6 +80,8 @@ from .materials import greenhouse_surfaces as greenhouse_surfaces
 from .materials import lambertian_surface as lambertian_surface
 from .materials import organ_surfaces as organ_surfaces
 from .materials import twine_surface as twine_surface
+from .outputs import DEFAULT_OUTPUTS as DEFAULT_OUTPUTS
+from .outputs import OUTPUTS as OUTPUTS
 from .recipe.recipe import Recipe as Recipe
 from .recipe.resolve.load import load_recipe as load_recipe
 from .render import Renderer as Renderer

@@ -22,7 +22,7 @@ from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.dataset.store.images import read_image
 from pepperscene.errors import InputError, OutputError, SetupError
-from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS, DEFAULT_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS
 from pepperscene.review.check import check_dataset
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")

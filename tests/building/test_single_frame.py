@@ -13,7 +13,7 @@ from pepperscene.building.execution.job import BuildOptions
 from pepperscene.building.execution.single_frame import render_frame
 from pepperscene.dataset.store.images import read_image
 from pepperscene.errors import InputError, OutputError
-from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.recipe.resolve.load import load_recipe
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from pepperscene.building.scenes import frame_renderer
 from pepperscene.cli import app
 from pepperscene.errors import EXIT_BAD_INPUT
-from pepperscene.frame import OUTPUTS, Frame
+from pepperscene.frame import Frame
+from pepperscene.outputs import OUTPUTS
 
 
 def empty_image(name, seed):

@@ -17,7 +17,7 @@ from pepperscene.classes import CLASS_COLOURS
 from pepperscene.dataset.store import images as encoding
 from pepperscene.dataset.store.images import encode_image, png_bytes, read_image, write_image
 from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 
 
 def example(output):

@@ -13,9 +13,10 @@ from PIL import Image
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.dataset.store.dataset import open_dataset
-from pepperscene.frame import DEFAULT_OUTPUTS, Frame
+from pepperscene.frame import Frame
 from pepperscene.grammar import grow
 from pepperscene.notebook_view import WIDTH_PX
+from pepperscene.outputs import DEFAULT_OUTPUTS
 
 SOURCE = re.compile(r'src="data:image/png;base64,([^"]+)"')
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.recipe.resolve.load import resolve_recipe
 
 OUTPUT_SETS = (

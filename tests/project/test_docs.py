@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
+import numpy as np
 import pytest
 import row_cache
 from pydantic import BaseModel
@@ -24,7 +25,7 @@ from pepperscene.building.subprocess_rpc import THREADS
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.cli import app
 from pepperscene.cultivar import Cultivar, Distribution
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS, Output
 from pepperscene.recipe.recipe import Recipe
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -206,9 +207,23 @@ def test_every_key_of_a_file_is_documented(page: str, model: type[BaseModel]) ->
     assert [key for key in keys if not re.search(rf"(?<![a-z_]){key}(_[a-z0-9]+)?(?![a-z_])", code)] == []
 
 
+def _file_of(output: Output) -> str:
+    """The file of an output, as the page of outputs describes it."""
+    if output.suffix == ".json":
+        return "JSON"
+    if output.suffix == ".png":
+        bits = f"{8 * np.dtype(output.dtype).itemsize} bit"
+        return "PNG, " + ("3 × " if output.channels else "") + bits
+    channels = " ".join(f"`{name}`" for name in output.channel_names or (output.name,))
+    if output.has_channels:
+        channels = "`B01.475nm` …" if "bands" in output.needs else channels + ", or `Y`"
+    return f"EXR, {output.dtype} {channels}" + (", or of bands" if output.name == "electrons" else "")
+
+
 def test_every_output_is_documented() -> None:
     text = (REFERENCE / "outputs.md").read_text(encoding="utf-8")
-    assert [name for name in OUTPUTS if f"| `{name}` | " not in text] == []
+    rows = [f"| `{one.name}` | {_file_of(one)} | {one.unit} | {one.meaning} |" for one in OUTPUTS.values()]
+    assert re.findall(r"^\| `.+ \|$", text.split("## Images")[1].split("By default")[0], re.M) == rows
     for organ_class in OrganClass:
         red, green, blue = CLASS_COLOURS[organ_class]
         row = rf"\| {organ_class:d} \| {organ_class.name.lower()} \| .+ \| {red}, {green}, {blue} \|"

@@ -21,7 +21,7 @@ from pepperscene.camera import (
 )
 from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.errors import InputError
-from pepperscene.frame import COLOUR_OUTPUTS
+from pepperscene.outputs import COLOUR_OUTPUTS
 from pepperscene.render import Renderer
 from pepperscene.render.transport.accumulate import TracedLight
 from pepperscene.render.transport.band_denoise import denoise_bands

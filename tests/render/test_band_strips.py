@@ -10,7 +10,7 @@ from greenhouse import camera, greenhouse
 
 from pepperscene.camera import Motion
 from pepperscene.camera.sensor import row_strips
-from pepperscene.frame import BAND_OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.transport import strips
 from pepperscene.spectra import Spectrum

@@ -9,7 +9,7 @@ from bodies import body
 from greenhouse import camera, row_of_plants
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.frame import OUTPUTS, TRAIT_OUTPUTS
+from pepperscene.outputs import OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render.aov import labels
 from pepperscene.render.aov.labels import Hits
 from pepperscene.render.kernel.camera import camera_rays

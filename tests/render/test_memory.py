@@ -17,7 +17,7 @@ RUN = f"""
 import ctypes, gc, json
 import numpy as np
 from greenhouse import camera, cloudy_sky, greenhouse
-from pepperscene.frame import DEFAULT_OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.render import Renderer
 from pepperscene.render.transport.denoise import open_image_denoise
 from pepperscene.scene import assemble_scene

@@ -11,9 +11,9 @@ from processes import run_python
 from pepperscene.building.scenes.plant_size import plant_triangles
 from pepperscene.building.scenes.scene_size import scene_triangles
 from pepperscene.camera import Motion
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.geometry import compilation, mesh_plant
 from pepperscene.grammar import grow
+from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.recipe.plan import Stream, random_generator
 from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.render import QUALITIES

@@ -18,7 +18,7 @@ from pepperscene.camera import (
     with_exposure,
 )
 from pepperscene.errors import InputError
-from pepperscene.frame import DEFAULT_OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.metering import metered_light
 from pepperscene.scene import uniform_sky

@@ -13,8 +13,8 @@ from test_coverage import FOCAL_PX, VIEW
 
 from pepperscene.camera import Camera
 from pepperscene.classes import OrganClass
-from pepperscene.frame import OUTPUTS
 from pepperscene.geometry import Mesh, concatenate_meshes
+from pepperscene.outputs import OUTPUTS
 from pepperscene.render import Renderer
 from pepperscene.render.aov.flow import CLEARANCE, is_unoccluded
 from pepperscene.render.kernel.scene import truth_scene

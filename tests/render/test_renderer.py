@@ -12,7 +12,7 @@ from processes import run_python
 
 from pepperscene.camera import expected_electrons
 from pepperscene.errors import InputError
-from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.render import QUALITIES, Renderer, find_quality, kernel_scene, render_scene, renderer
 from pepperscene.render.aov import labels
 from pepperscene.render.reference.path_tracer import path_traced, samples_taken

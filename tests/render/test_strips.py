@@ -10,7 +10,7 @@ from greenhouse import camera, cloudy_sky, greenhouse, others
 
 from pepperscene.camera import Motion
 from pepperscene.camera.sensor import row_strips
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.render import QUALITIES, Quality, Renderer
 from pepperscene.render.transport import strips
 from pepperscene.render.transport.adaptive import SamplingError, sampling_metadata

@@ -14,9 +14,9 @@ from test_albedo import NM, VIEW, leaf_path, seen
 
 from pepperscene.camera import look_at
 from pepperscene.classes import Appearance, OrganClass
-from pepperscene.frame import DEFAULT_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.geometry import mesh_plant, rectangle
 from pepperscene.materials.leaf import leaf_surface
+from pepperscene.outputs import DEFAULT_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render import Renderer
 from pepperscene.render.kernel.arrays import local_coordinates
 from pepperscene.render.kernel.camera import camera_rays

@@ -12,7 +12,7 @@ from disc_set import HEIGHT, WIDTH, change_expectations, change_image, find, kin
 from pepperscene.atomic import write_json
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.images import read_image
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.recipe.tables import ExpectTable
 from pepperscene.review.check import check_dataset
 from pepperscene.review.check.one_frame import FrameTraits

@@ -13,7 +13,7 @@ from disc_set import change_image, find, kinds_of, rewrite_manifest, sign
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.images import read_image, write_image
 from pepperscene.errors import InputError
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.review.check import check_dataset, run
 from pepperscene.review.check.findings import KINDS, Finding
 

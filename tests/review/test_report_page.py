@@ -18,7 +18,7 @@ from PIL import Image
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError, OutputError
-from pepperscene.frame import DEFAULT_OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.review.report import write_report
 from pepperscene.review.report.data import (
     NUMBERS,

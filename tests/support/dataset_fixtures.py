@@ -22,7 +22,7 @@ from traced_set import make_traced_set
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
 from pepperscene.dataset.store.dataset import open_dataset
-from pepperscene.frame import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import load_recipe
 

@@ -12,7 +12,8 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.dataset.store.images import read_image, write_image
-from pepperscene.frame import TRAIT_OUTPUTS, Frame
+from pepperscene.frame import Frame
+from pepperscene.outputs import TRAIT_OUTPUTS
 from pepperscene.review.check import check_dataset
 from pepperscene.truth import class_colour, distance_code
 from pepperscene.truth.encodings import encode_rle

@@ -24,10 +24,11 @@ from pepperscene.camera import (
     load_sensor,
 )
 from pepperscene.cultivar import load_cultivar
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, Frame
+from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh, mesh_plant
 from pepperscene.grammar import Plant, grow
 from pepperscene.materials import Surface, organ_surfaces, twine_surface
+from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.render import Renderer
 from pepperscene.scene import Scene, Sky, Twine, add_twine, assemble_scene, double_row, partly_cloudy_sky
 

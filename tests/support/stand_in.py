@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import pepperscene
-from pepperscene.frame import OUTPUTS, Frame
+from pepperscene.frame import Frame
+from pepperscene.outputs import OUTPUTS
 
 SIZE = (6, 8)
 PYTHONPATH = os.pathsep.join(

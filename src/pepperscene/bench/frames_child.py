@@ -105,7 +105,7 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
     with timed(scene_times, "import"):
         import pepperscene as ps
         from pepperscene.building.scenes.frame_renderer import FrameRenderer
-        from pepperscene.frame import OUTPUTS, check_outputs, needs_surfaces
+        from pepperscene.outputs import OUTPUTS, check_outputs, needs_surfaces
         from pepperscene.render.variant import mitsuba_modules, variant_name
     with timed(scene_times, "start Mitsuba"):
         mitsuba_modules()

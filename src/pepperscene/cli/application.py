@@ -17,7 +17,7 @@ from pepperscene.cli.interrupts import Interrupted, interruptible
 from pepperscene.cli.progress import echo_progress
 from pepperscene.cli.streams import protect_streams
 from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError, OutputError, PepperError
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
+from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
 EXIT_SIGNAL: Final = 128

@@ -15,7 +15,7 @@ from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import read_frame, read_output
 from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.user_files import read_file
 
 REST: Final = 1 << 16

@@ -15,8 +15,8 @@ import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
 from pepperscene.camera.sensor.row_strips import is_whole, row_strips
-from pepperscene.frame import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS, needs_surfaces
 from pepperscene.geometry import compilation
+from pepperscene.outputs import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS, needs_surfaces
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
 from pepperscene.render.transport.strips import SURROUNDINGS, TILE_PIXELS

@@ -25,14 +25,14 @@ from pepperscene.camera import (
     with_exposure,
 )
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.frame import (
+from pepperscene.frame import Frame
+from pepperscene.outputs import (
     BAND_OUTPUTS,
     DEFAULT_OUTPUTS,
     DEPTH_CAMERA_OUTPUTS,
     OUTPUTS,
     STEREO_OUTPUTS,
     TRAIT_OUTPUTS,
-    Frame,
     check_band_outputs,
     check_outputs,
 )

@@ -11,8 +11,8 @@ from processes import run_python
 from strain import assert_sound, render, surface
 
 from pepperscene.camera import load_sensor
-from pepperscene.frame import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.geometry import concatenate_meshes
+from pepperscene.outputs import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import assemble_scene
 

@@ -23,7 +23,7 @@ from pepperscene.dataset.store.journal import append_timings
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.errors import ArgumentError, OutputError
-from pepperscene.frame import DEFAULT_OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 

@@ -19,7 +19,8 @@ from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.errors import InputError
-from pepperscene.frame import Frame, check_band_outputs, check_outputs
+from pepperscene.frame import Frame
+from pepperscene.outputs import check_band_outputs, check_outputs
 from pepperscene.recipe.plan import FrameSpec, frame_seed
 from pepperscene.recipe.recipe import Recipe, digest
 from pepperscene.recipe.resolve.camera_views import check_further_cameras

@@ -16,7 +16,7 @@ from pepperscene.dataset.store.dataset import MARK
 from pepperscene.dataset.store.frame_json import file_entry, read_json
 from pepperscene.dataset.store.images import encode_image
 from pepperscene.errors import ArgumentError, InputError, OutputError
-from pepperscene.frame import DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 

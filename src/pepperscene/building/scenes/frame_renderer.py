@@ -17,7 +17,8 @@ from pepperscene.building.scenes.near_scene import NearPlants
 from pepperscene.building.scenes.scene_builder import SceneBuilder, make_greenhouse
 from pepperscene.building.scenes.scene_worker import SceneWorker
 from pepperscene.building.scenes.surfaces import SurfaceFactory, SurfacePreparation, prepare_for_mitsuba
-from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, OUTPUTS, Frame, needs_surfaces
+from pepperscene.frame import Frame
+from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
 from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.camera_views import CameraViews

@@ -13,19 +13,26 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS
 from pepperscene.errors import InputError
+from pepperscene.outputs import OUTPUTS
 
 VOID: Final = IGNORE_CLASS
 """Class id of unlabelled pixels, as in Cityscapes and PASCAL VOC; losses and metrics ignore it
 (`ignore_index=255`). It is not the background."""
 
-ARRAYS: Final = (
-    "colour", "classes", "instances", "distance_m", "depth_z_m", "depth_sensor_m", "chlorophyll_ug_cm2",
-    "carotenoids_ug_cm2", "water_cm", "ripeness", "leaf_age",
-)  # fmt: skip
-"""Fields of `LabelledImage` that are arrays of the image's size."""
+SOURCES: Final = {
+    field: tuple(name for name, output in OUTPUTS.items() if output.field == field)
+    for field in dict.fromkeys(output.field for output in OUTPUTS.values() if output.field)
+}
+"""Outputs that a field of `LabelledImage` can be read from, the best first."""
 
 BAND_ARRAYS: Final = ("reflectance", "radiance", "bands")
-"""The same of sensors with bands."""
+"""Fields of `LabelledImage` that are arrays of sensors with bands."""
+
+ARRAYS: Final = tuple(field for field in SOURCES if field not in BAND_ARRAYS)
+"""Fields of `LabelledImage` that are other arrays of the image's size."""
+
+LABELLED_OUTPUTS: Final = tuple(SOURCES[field][0] for field in ARRAYS)
+"""The outputs with the same content, in this order."""
 
 FIELDS: Final = (*ARRAYS, *BAND_ARRAYS, "metadata")
 """Fields of `LabelledImage` that a reader reads or skips."""

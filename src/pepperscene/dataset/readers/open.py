@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self, final
@@ -11,35 +11,20 @@ from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.coco import coco_files, open_coco
 from pepperscene.dataset.readers.folder import FolderSet
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage, image_of_files
+from pepperscene.dataset.readers.image_set import SOURCES, ImageSet, LabelledImage, image_of_files
 from pepperscene.dataset.readers.labels import LabelMap
 from pepperscene.dataset.readers.published import PublishedSet, published_halves
 from pepperscene.dataset.store.dataset import MARK, Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_frame, read_output, read_outputs
 from pepperscene.dataset.store.frame_json import DIGITS
 from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.truth import class_from_colour, distance_from_code
 
-_SOURCES: Final[Mapping[str, tuple[tuple[str, Any], ...]]] = {
-    "colour": (("colour", None),),
-    "classes": (("class", None), ("class_colour", class_from_colour)),
-    "instances": (("instance", None),),
-    "distance_m": (("distance", None), ("distance_code", distance_from_code)),
-    "depth_z_m": (("depth_z", None),),
-    "depth_sensor_m": (("depth_sensor", None),),
-    "chlorophyll_ug_cm2": (("chlorophyll", None),),
-    "carotenoids_ug_cm2": (("carotenoids", None),),
-    "water_cm": (("water", None),),
-    "ripeness": (("ripeness", None),),
-    "leaf_age": (("leaf_age", None),),
-    "reflectance": (("reflectance", None),),
-    "radiance": (("radiance", None),),
-    "bands": (("bands", None),),
+_DECODERS: Final[Mapping[str, Callable[[Any], NDArray[Any]]]] = {
+    "class_colour": class_from_colour,
+    "distance_code": distance_from_code,
 }
-"""Outputs that a field can be read from, the best first, and how to decode them."""
-
-
 _OBJECTS: Final = tuple(name for name, output in OUTPUTS.items() if not output.is_image)
 """Outputs that become part of the metadata."""
 
@@ -69,7 +54,7 @@ class RenderedSet(ImageSet):
         """Read one frame; a field is None if the frame lacks its outputs."""
         metadata = self._read_metadata(item) if "metadata" in self.fields else {}
         outputs = metadata["outputs"] if metadata else read_outputs(self.dataset, item)
-        arrays = {field: self._read_field(item, field, outputs) for field in _SOURCES}
+        arrays = {field: self._read_field(item, field, outputs) for field in SOURCES}
         return image_of_files(self.dataset.frame_path(item), _frame_name(item), metadata=metadata, **arrays)
 
     def _read_metadata(self, index: int) -> dict[str, Any]:
@@ -84,10 +69,10 @@ class RenderedSet(ImageSet):
     def _read_field(self, index: int, field: str, outputs: Collection[str]) -> NDArray[Any] | None:
         if field not in self.fields:
             return None
-        for output, decode in _SOURCES[field]:
+        for output in SOURCES[field]:
             if output in outputs:
                 image = read_output(self.dataset, index, output)
-                return image if decode is None else decode(image)
+                return _DECODERS[output](image) if output in _DECODERS else image
         return None
 
 

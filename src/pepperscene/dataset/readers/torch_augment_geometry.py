@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.dataset.readers.torch_augment_step import (
+    SAMPLE_KEYS,
     Arrays,
     AugmentationStep,
     check_probability,
     is_range,
 )
 from pepperscene.errors import ArgumentError
-from pepperscene.frame import TRAIT_OUTPUTS
+from pepperscene.outputs import OUTPUTS
 
-_PADDING: Final[Mapping[str, float]] = {
-    "image": 0,
-    "mask": VOID,
-    "instances": 0,
-    "distance": np.inf,
-    "depth_z": np.inf,
-    "depth_sensor": np.nan,
-    **dict.fromkeys(TRAIT_OUTPUTS, np.nan),
-}
+_PADDING: Final = {key: OUTPUTS[name].padding for name, key in SAMPLE_KEYS.items()}
 """Value of pixels outside the original image: black, void, no organ, nothing, a hole, no tissue."""
 
 

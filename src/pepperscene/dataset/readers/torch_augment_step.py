@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.dataset.readers.image_set import LABELLED_OUTPUTS
 from pepperscene.errors import ArgumentError
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -16,10 +17,10 @@ Arrays = Mapping[str, NDArray[Any]]
 `depth_sensor`, and the traits of tissue, `chlorophyll`, `carotenoids`, `water`, `ripeness` and `leaf_age`,
 each (h, w). All have the same height and width; any of them may be missing."""
 
-ARRAY_KEYS: Final = (
-    "image", "mask", "instances", "distance", "depth_z", "depth_sensor", "chlorophyll", "carotenoids",
-    "water", "ripeness", "leaf_age",
-)  # fmt: skip
+_KEYS: Final = {"colour": "image", "class": "mask", "instance": "instances"}
+SAMPLE_KEYS: Final = {name: _KEYS.get(name, name) for name in LABELLED_OUTPUTS}
+"""Key of each output in a sample, mostly its name."""
+ARRAY_KEYS: Final = tuple(SAMPLE_KEYS.values())
 
 
 class AugmentationStep(ABC):

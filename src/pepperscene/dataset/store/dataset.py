@@ -56,7 +56,7 @@ from pepperscene.dataset.store.manifest import (
     write_table,
 )
 from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.user_files import FileKind, MissingFileError, open_file
 
 if TYPE_CHECKING:

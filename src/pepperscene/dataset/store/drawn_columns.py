@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from pepperscene.dataset.store.recorded_values import as_mapping, listed_values
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 
 DRAWN: Final = "drawn."
 """Prefix of the names of columns of drawn values; the dotted key follows."""

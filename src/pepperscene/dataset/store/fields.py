@@ -27,7 +27,7 @@ from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.recorded_values import recorded_values
 from pepperscene.document import validate
 from pepperscene.errors import InputError
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.truth.encodings import is_class_id
 from pepperscene.user_files import read_file
 

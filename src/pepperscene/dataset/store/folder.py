@@ -18,7 +18,7 @@ from pepperscene.dataset.store.frame_json import CHECKSUM, checksum_of, is_as_wr
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import FRUIT, MANIFEST
 from pepperscene.errors import InputError, OutputError, short_repr
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.user_files import check_inside
 
 SET_FILES: Final = (MARK, MANIFEST, FRUIT, JOURNAL, FRAMES, *OUTPUTS)

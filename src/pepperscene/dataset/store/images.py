@@ -1,12 +1,9 @@
 """Image files: PNG for integers, OpenEXR for measured values, JSON for outputs that are no image.
 
-An EXR file has 32-bit float channels named by their content: `distance`; `depth_z`; `depth_sensor`;
-`depth_confidence`; `R`, `G`, `B` for electrons, or `Y` for those of a monochrome sensor; `X`, `Y`, `Z` for
-normals and positions; `U`, `V`; `flow.x`, `flow.y`, `visible`; and `chlorophyll`, `carotenoids`, `water`,
-`ripeness`, `leaf_age`. Channels of a sensor with bands have their number and centre, `B01.475nm`; header
-attributes list the centres and widths. Two outputs have 16-bit channels: albedo those of electrons, and
-coverage one for each class (`background`, `leaf`, ...). The header attribute `unit` holds their unit. Class
-images are palette PNGs: the pixel values are the class ids, and a viewer shows the class colours.
+An EXR file has one channel named as its output, or `Output.channel_names`, or `Y` of a monochrome sensor.
+Those of a sensor with bands have their number and centre, `B01.475nm`; header attributes list the centres and
+widths. The header attribute `unit` holds their unit. Class images are palette PNGs: the pixel values are the
+class ids, and a viewer shows the class colours.
 
 PNG files have an encoder here: Pillow takes 1.9 to 3.7 times as long (colour of 800x600: 41 ms against 11;
 class, instance and distance code together 13 against 6, of a label frame's 47), for files of the same size,
@@ -17,7 +14,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -31,49 +28,11 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.band_channels import band_attributes, band_channels, sorted_bands
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError
-from pepperscene.frame import BAND_OUTPUTS, OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS, OUTPUTS
 from pepperscene.truth.encodings import class_palette
 from pepperscene.user_files import check_file, open_file, read_file
 
-_CHANNELS: Final[Mapping[str, tuple[str, ...]]] = {
-    "electrons": ("R", "G", "B"),
-    "albedo": ("R", "G", "B"),
-    "normal": ("X", "Y", "Z"),
-    "position": ("X", "Y", "Z"),
-    "coverage": tuple(organ_class.name.lower() for organ_class in OrganClass),
-    "uv": ("U", "V"),
-    "flow": ("flow.x", "flow.y", "visible"),
-    "stereo": ("stereo.x", "stereo.y", "visible"),
-}
-"""Channel names along the third axis."""
-
 _LUMINANCE: Final = ("Y",)  # channel of electrons and albedo behind no colour filter
-
-_RUNS: Final = ("coverage", "leaf_age")
-"""Outputs whose rows consist of runs of equal values."""
-
-_UNITS: Final = {
-    "electrons": "photo-electrons per photosite",
-    "bands": "photo-electrons per photosite, as measured",
-    "radiance": "W m-2 sr-1 nm-1",
-    "reflectance": "1, relative to the white reference",
-    "distance": "metres along the ray from the projection centre",
-    "depth_z": "metres along the optical axis",
-    "depth_sensor": "metres along the optical axis, as measured; nan in holes",
-    "depth_confidence": "1 where both images agree, 0 in holes",
-    "normal": "unit vector in world coordinates",
-    "coverage": "share of the pixel's area",
-    "position": "metres in world coordinates",
-    "uv": "surface coordinates from 0 to 1",
-    "flow": "pixels right and down to the next frame; 1 where visible there",
-    "stereo": "pixels right and down in the partner's picture; 1 where visible there",
-    "albedo": "diffuse reflectance, linear sRGB, 1 for white",
-    "chlorophyll": "micrograms per square centimetre",
-    "carotenoids": "micrograms per square centimetre",
-    "water": "grams per square centimetre, or centimetres of water",
-    "ripeness": "0 unripe to 1 ripe",
-    "leaf_age": "0 healthy to 1 dried up",
-}
 
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _GREY, _RGB, _PALETTE = 0, 2, 3  # PNG colour types
@@ -188,8 +147,8 @@ def _exr_bytes(image: NDArray[Any], output: str, bands: Sequence[Band]) -> bytes
     # six times the time (800x600: 16 and 55 ms against 3 and 6). Of normals it takes 58 %, but for 43 ms
     # against 6, most of what a frame's ground truth takes; of positions 18 % and of flow 35 %, for six times
     # the time. Coverage consists of runs of 0 and 1: 195 KiB instead of 7.3 MiB, for 16 ms against 8.
-    compression = OpenEXR.ZIP_COMPRESSION if output in _RUNS else OpenEXR.NO_COMPRESSION
-    header = {"compression": compression, "type": OpenEXR.scanlineimage, "unit": _UNITS[output]}
+    compression = OpenEXR.ZIP_COMPRESSION if OUTPUTS[output].in_runs else OpenEXR.NO_COMPRESSION
+    header = {"compression": compression, "type": OpenEXR.scanlineimage, "unit": OUTPUTS[output].unit}
     if bands and OUTPUTS[output].has_channels:
         header |= band_attributes(bands)
     channels = {name: np.ascontiguousarray(planes[..., axis]) for axis, name in enumerate(names)}
@@ -206,8 +165,8 @@ def _channel_names(count: int, output: str, bands: Sequence[Band]) -> Sequence[s
             return band_channels(count, bands)
         if count not in (1, 3):
             raise ValueError(f"{output} with {count} channels needs the bands of the sensor")
-        return _LUMINANCE if count == 1 else _CHANNELS[output]
-    return _CHANNELS[output]
+        return _LUMINANCE if count == 1 else OUTPUTS[output].channel_names
+    return OUTPUTS[output].channel_names
 
 
 def _read_object(path: Path, within: Path | None) -> dict[str, Any]:
@@ -249,7 +208,7 @@ def _read_exr(path: Path, within: Path | None) -> NDArray[Any]:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     if names := sorted_bands(channels):
         return np.stack([channels[name] for name in names], axis=-1)
-    for names in (*_CHANNELS.values(), _LUMINANCE):
+    for names in (*(output.channel_names for output in OUTPUTS.values()), _LUMINANCE):
         if set(channels) == set(names):
             return np.stack([channels[name] for name in names], axis=-1)
     if len(channels) == 1:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pepperscene.atomic import atomic_write
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.drawn_columns import drawn_columns, drawn_row
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.user_files import check_file, read_file
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.errors import InputError
-from pepperscene.frame import DEPTH_CAMERA_OUTPUTS, STEREO_OUTPUTS
+from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, STEREO_OUTPUTS
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups

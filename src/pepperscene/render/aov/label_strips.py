@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.camera.sensor.row_strips import row_strips
-from pepperscene.frame import TRAIT_OUTPUTS
 from pepperscene.geometry import Mesh
+from pepperscene.outputs import TRAIT_OUTPUTS
 from pepperscene.render.aov import labels
 from pepperscene.render.kernel.arrays import LocalCoordinates
 from pepperscene.render.kernel.camera import CameraRays

@@ -18,7 +18,7 @@ from pepperscene.dataset.store.frame_json import CHECKSUM, is_as_written
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.manifest import MANIFEST, frame_row, fruit_rows, table_columns
 from pepperscene.errors import InputError, short_repr
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.recipe.plan import Plan, frame_seed
 from pepperscene.review.check.edges import CHANCE, EdgeMatch, match_edges
 from pepperscene.review.check.findings import Finding, camera_integer, camera_pose, json_object

@@ -18,7 +18,7 @@ from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, Dataset, fil
 from pepperscene.dataset.store.folder import REPORT_FILES, SET_FILES
 from pepperscene.dataset.store.frame_json import DIGITS, frame_index, is_as_written, read_json
 from pepperscene.errors import InputError, short_repr
-from pepperscene.frame import OUTPUTS
+from pepperscene.outputs import OUTPUTS
 from pepperscene.recipe.recipe import digest
 from pepperscene.recipe.tables import ExpectTable
 from pepperscene.review.check.findings import Finding

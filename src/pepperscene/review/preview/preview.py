@@ -11,7 +11,7 @@ from pepperscene.building.execution.build import choose_executor
 from pepperscene.building.execution.job import BuildJob, BuildOptions
 from pepperscene.building.scenes.frame_renderer import FrameRenderer, SceneKeeper
 from pepperscene.errors import ArgumentError
-from pepperscene.frame import DEFAULT_OUTPUTS
+from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.review.preview.cost import CostEstimate, estimate_cost
 from pepperscene.review.preview.places import (
