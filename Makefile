@@ -22,13 +22,14 @@ LIMITS := $(foreach name,PEPPERSCENE OIDN_NUM OMP_NUM OPENBLAS_NUM,$(name)_THREA
 PYTEST := env -u PYTHONDONTWRITEBYTECODE $(LIMITS) $(BIN)/python -m pytest --numprocesses=$(JOBS) --dist=worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test test-long lock docs clean
+.PHONY: help demo check test test-long durations lock docs clean
 
 help:
 	@echo "make demo       build a few frames and an HTML report in $(OUT)"
 	@echo "make check      lint, types, import layers and unit tests (under two minutes)"
 	@echo "make test       everything that guards a change"
-	@echo "make test-long  tests that take many minutes"
+	@echo "make test-long  tests that take minutes or guard what rarely changes, and many more examples of properties"
+	@echo "make durations  the seconds of each test in the last whole run"
 	@echo "make lock       write the versions of the installed packages to requirements/lock.txt"
 	@echo "make docs       build the documentation in docs/_build/html"
 	@echo "make clean      remove the virtual environment, caches and build products"
@@ -44,11 +45,17 @@ check: $(VENV)/.installed-tests
 	$(PYTEST) -m 'not slow and not long' tests
 	$(PYTEST) tests/project/test_style.py tests/project/test_packages.py
 
+# SINCE=main also runs the examples of the pages that changed since that revision.
 test: $(VENV)/.installed-tests
-	$(PYTEST)
+	PEPPERSCENE_SINCE=$(SINCE) $(PYTEST)
 
+# First what takes minutes, with all cores for each test; then the other tests that draw examples, with many of them.
 test-long: $(VENV)/.installed-tests
-	$(BIN)/python -m pytest -m long --timeout=0
+	$(BIN)/python -m pytest -m long --timeout=0 --hypothesis-profile=long
+	$(PYTEST) -m 'not long and hypothesis' --hypothesis-profile=long
+
+durations:
+	@cat out/durations.txt
 
 # PyTorch has other versions on other machines, so it is left out.
 lock: $(VENV)/.installed-tests

@@ -1,19 +1,23 @@
-"""A cultivar and grown rows for all tests; marks the tests that `make check` leaves out."""
+"""A cultivar and grown rows for all tests, marks of the tiers, examples of properties, and durations."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
+from collections import Counter
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from pepperscene.cultivar import Cultivar, load_cultivar
 
 pytest_plugins = ["dataset_fixtures"]
 
 TESTS = Path(__file__).parent
+DURATIONS = TESTS.parent / "out" / "durations.txt"
+"""Seconds of each test of the last run, which `make durations` prints."""
 UNIT = {
     "camera", "colour", "cultivar", "document", "geometry", "grammar", "materials", "scene", "spectra",
     "truth",
@@ -23,6 +27,19 @@ LONGEST = {"test_docs.py", "test_notebooks.py", "test_memory_growth.py"}
 """Files with tests of about a minute."""
 ROWS = "PEPPERSCENE_TEST_ROWS"
 """Variable with the folder of rows, which the first of several test processes creates and removes."""
+
+
+# Examples of properties are the same in every run: chance never decides whether a change passes.
+settings.register_profile(
+    "ci",
+    derandomize=True,
+    database=None,
+    deadline=None,
+    max_examples=25,
+    suppress_health_check=list(HealthCheck),
+)
+settings.register_profile("long", settings.get_profile("ci"), max_examples=300)
+settings.load_profile("ci")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -54,3 +71,15 @@ def kaite() -> Cultivar:
 def rows() -> Path:
     """Folder of the rows of plants that examples have grown, in any of the test processes."""
     return Path(os.environ[ROWS])
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    seconds: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if isinstance(report, pytest.TestReport):
+                seconds[report.nodeid] += report.duration
+    if len(seconds) > 1000:  # a whole tier
+        DURATIONS.parent.mkdir(exist_ok=True)
+        lines = [f"{duration:9.2f} {name}\n" for name, duration in seconds.most_common()]
+        DURATIONS.write_text("".join(lines), encoding="utf-8")

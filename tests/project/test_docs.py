@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import inspect
 import os
 import re
@@ -15,6 +17,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 import numpy as np
 import pytest
 import row_cache
+import typer
 from pydantic import BaseModel
 from search_index import SearchIndex
 from typer.models import OptionInfo
@@ -118,7 +121,30 @@ def _program(page: Path) -> str:
     return "\n".join(program)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+IN_CI = {"README.md", "quickstart.md"}
+"""Pages whose examples run in every test run; those of the others run in the long tier, and if they changed."""
+SINCE = os.environ.get("PEPPERSCENE_SINCE")
+"""A revision: the examples of pages that changed since then are run too (`make test SINCE=main`)."""
+
+
+def _changed_pages() -> set[str]:
+    """Paths of the pages that changed since the revision, relative to the root."""
+    if not SINCE:
+        return set()
+    command = ["git", "diff", "--name-only", SINCE, "--", "*.md"]
+    return set(subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split())
+
+
+_CHANGED = _changed_pages()
+_RUN = [
+    pytest.param(page, id=page.stem)
+    if page.name in IN_CI or str(page.relative_to(ROOT)) in _CHANGED
+    else pytest.param(page, id=page.stem, marks=pytest.mark.long)
+    for page in PAGES
+]
+
+
+@pytest.mark.parametrize("page", _RUN)
 def test_examples_run(page: Path, tmp_path: Path, rows: Path) -> None:
     program = _program(page)
     if not program.strip():
@@ -137,6 +163,42 @@ def test_examples_run(page: Path, tmp_path: Path, rows: Path) -> None:
     environment = {name: value for name, value in os.environ.items() if name not in limits}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, f"{page.name} (line numbers are the page's)\n{done.stderr[-4000:]}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_examples_name_what_exists(page: Path) -> None:
+    """Every page in every run: Python compiles and uses public names, commands have these options."""
+    program = ast.parse(_program(page), page.name)
+    modules = {
+        alias.asname
+        for node in ast.walk(program)
+        if isinstance(node, ast.Import)
+        for alias in node.names
+        if alias.name == "pepperscene"
+    }
+    for node in ast.walk(program):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            assert hasattr(pepperscene, node.attr), f"{page.name}:{node.lineno}: {node.attr}"
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pepperscene"):
+            module = importlib.import_module(str(node.module))
+            for alias in node.names:
+                assert hasattr(module, alias.name), f"{page.name}:{node.lineno}: {alias.name}"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "_run":
+            (argument,) = node.args
+            assert isinstance(argument, ast.Starred)
+            words = ast.literal_eval(argument.value)
+            assert _unknown_words(words) == [], f"{page.name}:{node.lineno}: pepperscene {' '.join(words)}"
+
+
+def _unknown_words(words: list[str]) -> list[str]:
+    """The command, or those options, that the command line does not have."""
+    commands = typer.main.get_command(app).commands
+    if words[0] not in commands:
+        return words[:1] if words[0] not in ("--help", "--version") else []
+    known = {
+        flag for option in commands[words[0]].params for flag in (*option.opts, *option.secondary_opts)
+    } | {"--help"}
+    return [word for word in words[1:] if word.startswith("--") and word.partition("=")[0] not in known]
 
 
 def test_make_targets_exist() -> None:
@@ -159,6 +221,7 @@ def test_every_page_is_in_one_of_four_kinds() -> None:
     assert [page.name for page in PAGES[1:] if page.parent == DOCS] == ["index.md"]
 
 
+@pytest.mark.long
 def test_sphinx_builds_without_warnings_and_search_finds_what_readers_look_for(tmp_path: Path) -> None:
     command = [
         sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet", "-b", "html",

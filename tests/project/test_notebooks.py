@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import json
 import subprocess
 import sys
@@ -9,6 +11,8 @@ from pathlib import Path
 
 import pytest
 import row_cache
+
+import pepperscene
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -26,6 +30,19 @@ def test_notebook_has_no_outputs(notebook: Path) -> None:
             assert cell["execution_count"] is None
 
 
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
+def test_notebook_uses_names_that_exist(notebook: Path) -> None:
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    program = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    for node in ast.walk(ast.parse(program)):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("ps", "pepperscene"):
+            assert hasattr(pepperscene, node.attr), node.attr
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pepperscene"):
+            module = importlib.import_module(str(node.module))
+            assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
 def test_notebook_runs(notebook: Path, tmp_path: Path, rows: Path) -> None:
     # In a subprocess, because kernels and their sockets emit warnings, which are errors here.
