@@ -122,7 +122,7 @@ def _program(page: Path) -> str:
 
 
 IN_CI = {"README.md", "quickstart.md"}
-"""Pages whose examples run in every test run; those of the others run in the long tier, and if they changed."""
+"""Pages whose examples run in every test run; the others are of the long tier, and run if they changed."""
 SINCE = os.environ.get("PEPPERSCENE_SINCE")
 """A revision: the examples of pages that changed since then are run too (`make test SINCE=main`)."""
 
