@@ -76,21 +76,13 @@ def main() -> None:
     parser.add_argument("--recipe", default="barth2018", help="recipe of the row (default: barth2018)")
     parser.add_argument("--detail", type=float, default=1.0, help="mesh resolution of the single plants")
     parser.add_argument("--runs", type=int, default=DEFAULT_RUNS, help=f"at least {DEFAULT_RUNS}")
-    parser.add_argument(
-        "--without-numba", action="store_true", help="use the functions that it compiles otherwise"
-    )
     options = parser.parse_args()
     if options.runs < DEFAULT_RUNS:
         parser.error(f"--runs must be at least {DEFAULT_RUNS}: a median of fewer is unreliable")
-    from pepperscene.geometry import compilation
-
-    if options.without_numba:
-        compilation.AVAILABLE = False
     machine = machine_info()
     sys.stdout.write(
         f"On one of {machine['cores']} cores of {machine['cpu']}, {machine['system']}; "
-        f"Python {machine['python']}, numpy {machine['packages']['numpy']}, "
-        f"{'with' if compilation.AVAILABLE else 'without'} Numba.\n\n"
+        f"Python {machine['python']}, numpy {machine['packages']['numpy']}.\n\n"
     )
     plants = time_single_plants(options.cultivar, 4 * options.runs, options.detail)
     table = {f"one plant of {options.cultivar}: {stage}": times for stage, times in plants.items()}

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from contact_meshes import RADIUS, grown, resolved, scene, shifted
+from contact_meshes import RADIUS, count_contacts, grown, resolved, scene, shifted
 
 from pepperscene.classes import OrganClass
-from pepperscene.geometry import concatenate_meshes, count_contacts, rectangle, sphere
-from pepperscene.geometry.contacts.capsules import StemCapsules
-from pepperscene.geometry.contacts.detect import ContactDetector, current_counts
-from pepperscene.geometry.contacts.fruit_surfaces import FruitSurfaces
+from pepperscene.geometry import concatenate_meshes, rectangle, sphere
+from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import rotations
 from pepperscene.geometry.contacts.organs import Organs
-from pepperscene.geometry.contacts.patches import SPACING, fill_triangles
+from pepperscene.geometry.contacts.patches import SPACING, Patches, fill_triangles
+from pepperscene.geometry.contacts.shapes import FruitSurfaces, StemCapsules
 
 
 def test_depth_in_a_sphere_is_exact() -> None:
@@ -27,20 +26,21 @@ def test_depth_in_a_sphere_is_exact() -> None:
         points = spheres.centre[0] + distance * directions
         # The planes of triangles are a little inside the sphere, or cut a corner off it.
         np.testing.assert_allclose(
-            fruit_depth(surfaces, 0, points.T[:, None]), RADIUS - distance, atol=0.01 * RADIUS
+            fruit_depth(surfaces, 0, points[:, None]), RADIUS - distance, atol=0.01 * RADIUS
         )
 
 
 def fruit_depth(
     surfaces: FruitSurfaces, fruit: int, points: np.ndarray, margin: float = np.inf
 ) -> np.ndarray:
-    """Depth of the deepest of points `(3, s, h)`, at most `margin` out of its sphere, in a fruit as grown."""
-    spheres, count = surfaces.spheres(np.array([fruit])), points.shape[2]
-    local = (points - spheres.centre[0][:, None, None]).astype(np.float32)
-    matrix = np.repeat(np.eye(3, dtype=np.float32)[..., None], count, axis=2)
-    limit = np.full(count, spheres.radius[0] + margin, dtype=np.float32)
-    row = np.repeat(spheres.row, count)
-    return surfaces.depth(row, local, matrix, np.zeros((3, count), dtype=np.float32), limit)
+    """Depth of the deepest of points `(h, s, 3)`, at most `margin` out of its sphere, in a fruit as grown."""
+    spheres = surfaces.spheres(np.array([fruit]))
+    local = np.ascontiguousarray((points - spheres.centre[0]).transpose(2, 0, 1), dtype=np.float32)
+    patches = Patches(local.transpose(1, 2, 0), local[:, :, 0].T, np.zeros(len(points), dtype=np.float32))
+    still = np.eye(3, dtype=np.float32)[None], np.zeros((1, 3), dtype=np.float32)
+    limit = (spheres.radius + margin).astype(np.float32)
+    hit, patch = np.zeros(len(points), dtype=np.intp), np.arange(len(points))
+    return surfaces.patch_depths(spheres.row, *still, limit, hit, patches, patch)
 
 
 def test_sample_points_leave_no_gap() -> None:
@@ -131,7 +131,7 @@ def test_organs_moved_together_are_where_they_are_moved_alone() -> None:
     for organ, points in expected.items():
         np.testing.assert_allclose(organs.low[organ], points.min(axis=0), atol=1e-6)
         np.testing.assert_allclose(organs.high[organ], points.max(axis=0), atol=1e-6)
-        np.testing.assert_allclose(mesh.vertices[organs.vertex_rows(organ)], points, atol=1e-6)
+        np.testing.assert_allclose(mesh.vertices[mesh.vertex_runs.rows(organ)], points, atol=1e-6)
         # Every vertex is a sample point.
         patches, patch, _ = organs.patches(np.array([organ]))
         sampled = patches.points[patch].reshape(-1, 3)
@@ -165,7 +165,7 @@ def test_depths_in_fruit_are_those_of_all_points(between_plants: bool) -> None:
     organs, pairs = detector.organs, detector.fruit_pairs()
     solid = np.flatnonzero(organs.solid)
     patches, patch, place = organs.patches(solid)
-    points = patches.coordinates(patch)
+    points = patches.points[patch]
     for fruit in detector.fruit.tolist():
         expected = np.full(len(solid), -np.inf)
         np.maximum.at(expected, place, fruit_depth(detector.surfaces, fruit, points, 0.0))
@@ -201,10 +201,10 @@ def test_depths_in_stems_are_those_of_all_points() -> None:
 def test_contacts_after_motions_are_those_of_the_moved_mesh() -> None:
     expected = resolved()
     detector = ContactDetector(grown()[1])
-    current_counts(detector)
+    detector.counts()
     for motion in expected.motions:
         shift = motion.pivot - motion.rotation @ motion.pivot
         moved = np.array(detector.organs.subtree(motion.instance))
         rotation, shift = np.tile(motion.rotation, (len(moved), 1, 1)), np.tile(shift, (len(moved), 1))
         detector.organs.move(moved, rotation, shift)
-    assert current_counts(detector) == count_contacts(expected.mesh) == expected.contacts
+    assert detector.counts() == count_contacts(expected.mesh) == expected.contacts

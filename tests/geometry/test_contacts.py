@@ -7,18 +7,17 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from contact_meshes import RADIUS, grown, leafy_node, resolved, shifted
+from contact_meshes import RADIUS, count_contacts, grown, leafy_node, resolved, shifted
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import (
     Mesh,
     concatenate_meshes,
-    count_contacts,
     mesh_plant,
     move_plant,
     resolve_contacts,
 )
-from pepperscene.geometry.contacts.detect import ContactDetector, current_counts
+from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import units_of
 from pepperscene.geometry.contacts.leaves import _nested_units
 from pepperscene.geometry.contacts.organs import LEAF, Organs
@@ -146,12 +145,10 @@ def test_rotations_stay_within_their_limits() -> None:
             assert np.arccos(min(cosine, 1.0)) <= np.hypot(*units[0].limits) + 1e-6
 
 
-def test_same_seed_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_same_seed_gives_the_same_bytes() -> None:
     mesh = grown()[1]
     other = resolve_contacts(mesh, np.random.default_rng(4)).mesh
     assert other.vertices.tobytes() != resolved().mesh.vertices.tobytes()
-    # Whatever the number of distances computed at a time.
-    monkeypatch.setattr("pepperscene.geometry.contacts.near_patches.ENTRIES", 500)
     again = resolve_contacts(mesh, np.random.default_rng(3)).mesh
     assert again.vertices.tobytes() == resolved().mesh.vertices.tobytes()
 
@@ -273,12 +270,12 @@ def test_units_near_a_moved_one_wait() -> None:
     """Many contacts are resolved at once; those near a unit that has just moved are left for later."""
     solver, attempt = solver_and_round()
     contacts = solver._find_contacts()
-    before = current_counts(solver.detector)
+    before = solver.detector.counts()
     waiting = solver._resolve_some(contacts, attempt)
     assert 0 < len(waiting) < len(contacts)
     moved = {motion.instance for motion in solver.motions}
     assert (solver.detector.depths(*contacts.T) < 0.0).sum() > 0.5 * len(moved)
-    assert current_counts(solver.detector).fruit_touching < before.fruit_touching
+    assert solver.detector.counts().fruit_touching < before.fruit_touching
 
 
 def test_units_that_share_organs_clash_wherever_they_move() -> None:

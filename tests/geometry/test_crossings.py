@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,12 +11,14 @@ from contact_meshes import grown
 
 from pepperscene.geometry import Mesh, resolve_contacts
 from pepperscene.geometry.contacts import leaves
-from pepperscene.geometry.contacts.coarse import FINE, ROUGH, Resolution
 from pepperscene.geometry.contacts.crossings import (
+    ALL,
     CLEARANCE,
+    FINE,
+    ROUGH,
     CoarseTriangles,
+    Resolution,
     coarse_triangles,
-    coarse_triangles_by_form,
 )
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import rotations, units_of
@@ -75,22 +78,27 @@ def count_all(one: np.ndarray, two: np.ndarray, clearance: float) -> int:
     )
 
 
-@pytest.mark.parametrize("resolution", [FINE, ROUGH])
-@pytest.mark.parametrize("cultivar", ["kaite", "tomato"])
-@pytest.mark.parametrize("step", [1, 3, -1, 10**6])
-def test_coarse_triangles_of_a_form_equal_those_of_each_organ(
-    cultivar: str, resolution: Resolution, step: int
-) -> None:
-    """In any order, for few organs and for many, with organs that keep all their triangles between others."""
-    organs = Organs(grown(cultivar, 1)[1])
-    assert organs.is_contiguous
-    chosen = organs.of_class(LEAF, SHOOT, STALK, STEM)[::step]
-    expected, found = (
-        choose(organs, chosen, resolution) for choose in (coarse_triangles, coarse_triangles_by_form)
-    )
-    for one, two in zip((*expected[:2], *expected[2]), (*found[:2], *found[2]), strict=True):
-        np.testing.assert_array_equal(two, one)
-        assert two.dtype == one.dtype
+@pytest.mark.parametrize("is_shuffled", [False, True])
+def test_coarse_triangles_are_on_vertices_of_their_organ(mesh: Mesh, is_shuffled: bool) -> None:
+    """In any order of organs and of vertices; all triangles are those of the mesh."""
+    if is_shuffled:
+        order = np.random.default_rng(0).permutation(len(mesh.vertices))
+        faces = np.argsort(order)[mesh.faces].astype(np.uint32)
+        mesh = replace(mesh, vertices=mesh.vertices[order], uv=mesh.uv[order], faces=faces)
+    organs = Organs(mesh)
+    chosen = organs.of_class(LEAF, SHOOT, STALK, STEM)[::-4]
+    whole, fine = (corners_of(organs, chosen, resolution) for resolution in (ALL, FINE))
+    for organ in chosen.tolist():
+        own = mesh.vertices[mesh.faces[mesh.face_instance == organ]]
+        np.testing.assert_array_equal(whole[organ], own)
+        if len(own) <= FINE.few:
+            np.testing.assert_array_equal(fine[organ], own)
+        else:
+            assert 10 < len(fine[organ]) < 0.5 * len(own)
+            assert set(map(tuple, fine[organ].reshape(-1, 3))) <= set(map(tuple, own.reshape(-1, 3)))
+            # They reach from one end of the organ to the other.
+            extents = (np.ptp(part.reshape(-1, 3), axis=0).max() for part in (fine[organ], own))
+            assert next(extents) > 0.7 * next(extents)
 
 
 @pytest.mark.parametrize(("resolution", "clearance"), [(FINE, CLEARANCE), (ROUGH, 2.5e-3)])
@@ -117,6 +125,9 @@ def test_counts_equal_those_of_all_pairs_of_triangles(
         for row, (a, b) in enumerate(zip(one.tolist(), two.tolist(), strict=True))
     ]
     assert np.count_nonzero(expected) > 8
+    boxes = triangles.count(one, rotation, shift, np.arange(len(one)), two, clearance, by_boxes=True)
+    assert np.all(boxes >= ours)
+    assert boxes.sum() > 2 * ours.sum()
     # Single precision decides otherwise where an edge just meets the border of a triangle.
     assert np.all(np.abs(ours - expected) <= 1 + 0.02 * np.array(expected))
     assert np.mean(ours == expected) > 0.95

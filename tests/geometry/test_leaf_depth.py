@@ -10,7 +10,7 @@ from contact_meshes import scene, shifted
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh, rectangle, resolve_contacts, sphere
-from pepperscene.geometry.contacts.depth import deep_pairs, superfluous_leaves
+from pepperscene.geometry.contacts.leaf_crossings import deep_pairs, superfluous_leaves
 from pepperscene.geometry.contacts.leaves import LeafSolver
 from pepperscene.geometry.contacts.organs import Organs
 

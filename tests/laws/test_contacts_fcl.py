@@ -33,7 +33,6 @@ from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import (
     Mesh,
     concatenate_meshes,
-    count_contacts,
     mesh_plant,
     rectangle,
     resolve_contacts,
@@ -287,7 +286,7 @@ def test_separating_translation_of_crossed_sheets(distance: float) -> None:
 
 
 def test_counted_blades_touch_stems(row: Mesh) -> None:
-    ours, theirs = count_contacts(row).blades_touching, len(blades_through_stems(row))
+    ours, theirs = ContactDetector(row).counts().blades_touching, len(blades_through_stems(row))
     # Capsules are as thick as the tube's widest ring: they overestimate contacts.
     assert theirs <= ours <= 1.2 * theirs + 2
 

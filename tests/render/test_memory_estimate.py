@@ -11,7 +11,7 @@ from processes import run_python
 from pepperscene.building.scenes.plant_size import plant_triangles
 from pepperscene.building.scenes.scene_size import scene_triangles
 from pepperscene.camera import Motion
-from pepperscene.geometry import compilation, mesh_plant
+from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.recipe.plan import Stream, random_generator
@@ -59,20 +59,19 @@ def test_memory_grows_with_triangles_outputs_and_photosites(camera):
     assert estimate(camera, "colour", quality="standard") > estimate(camera, "colour", quality="reference")
 
 
-# Peaks of processes that rendered the first frame of `demo` on two cores, without Numba.
+# Peaks of processes that rendered the first frame of `demo` on two cores.
 @pytest.mark.parametrize(
     ("size", "outputs", "quality", "measured_mb"),
     [
         ((1600, 1200), ("colour",), "draft", 2711),
     ],
 )
-def test_estimates_agree_with_measured_peaks(camera, size, outputs, quality, measured_mb, monkeypatch):
-    monkeypatch.setattr(compilation, "AVAILABLE", False)
+def test_estimates_agree_with_measured_peaks(camera, size, outputs, quality, measured_mb):
     ratio = estimate(resized(camera, *size), *outputs, quality=quality) / (measured_mb * 1e6)
     assert 1.0 <= ratio <= 1.2
 
 
-# Peaks of processes that rendered frame 125 of `barth2018`, with Numba, in strips of rows.
+# Peaks of processes that rendered frame 125 of `barth2018`, in strips of rows.
 @pytest.mark.parametrize(
     ("size", "outputs", "quality", "measured_mb"),
     [
@@ -85,24 +84,19 @@ def test_estimates_agree_with_measured_peaks(camera, size, outputs, quality, mea
         ((3840, 2160), ("flow",), "standard", 1010),
     ],
 )
-def test_estimates_of_large_images_agree_with_measured_peaks(
-    camera, size, outputs, quality, measured_mb, monkeypatch
-):
-    monkeypatch.setattr(compilation, "AVAILABLE", True)
+def test_estimates_of_large_images_agree_with_measured_peaks(camera, size, outputs, quality, measured_mb):
     view = resized(camera, *size, binning=1)
     ratio = estimate(view, *outputs, quality=quality) / (measured_mb * 1e6)
     assert 1.0 <= ratio <= 1.25
 
 
-def test_estimate_of_large_maps_of_traits_is_above_their_measured_peak(camera, monkeypatch):
-    monkeypatch.setattr(compilation, "AVAILABLE", True)
+def test_estimate_of_large_maps_of_traits_is_above_their_measured_peak(camera):
     view = resized(camera, 3840, 2160, binning=1)
     # Above by more than others: only pixels with tissue have points.
     assert 1.0 <= estimate(view, *TRAIT_OUTPUTS) / 1298e6 <= 1.35
 
 
-def test_24_megapixels_take_no_more_than_two_and_a_half_gigabytes(camera, monkeypatch):
-    monkeypatch.setattr(compilation, "AVAILABLE", True)
+def test_24_megapixels_take_no_more_than_two_and_a_half_gigabytes(camera):
     for size in ((3840, 2160), (6000, 4000)):
         needed = estimate(resized(camera, *size), *DEFAULT_OUTPUTS, quality="standard")
         assert needed <= 2.5e9

@@ -10,6 +10,7 @@ import numpy as np
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import (
+    ContactCounts,
     Mesh,
     ResolvedMesh,
     concatenate_meshes,
@@ -18,6 +19,7 @@ from pepperscene.geometry import (
     resolve_contacts,
     sphere,
 )
+from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.grammar import Plant, grow
 
 RADIUS = 0.04
@@ -32,6 +34,10 @@ def grown(name: str = "kaite", seed: int = 3) -> tuple[Plant, Mesh]:
 @cache
 def resolved(name: str = "kaite", seed: int = 3) -> ResolvedMesh:
     return resolve_contacts(grown(name, seed)[1], np.random.default_rng(seed))
+
+
+def count_contacts(mesh: Mesh) -> ContactCounts:
+    return ContactDetector(mesh).counts()
 
 
 def shifted(mesh: Mesh, x: float = 0.0, z: float = 0.0) -> Mesh:

@@ -1,6 +1,6 @@
 """Meshes of plants: organs to triangles, contacts between organs resolved, mesh files."""
 
-from pepperscene.geometry.contacts.detect import ContactCounts, count_contacts
+from pepperscene.geometry.contacts.detect import ContactCounts
 from pepperscene.geometry.contacts.joints import JointRotation, move_plant
 from pepperscene.geometry.contacts.resolve import ResolvedMesh, resolve_contacts
 from pepperscene.geometry.export import check_mesh_format, mesh_files, organ_names, write_mesh
@@ -17,7 +17,6 @@ __all__ = [
     "ResolvedMesh",
     "check_mesh_format",
     "concatenate_meshes",
-    "count_contacts",
     "mesh_files",
     "mesh_plant",
     "move_plant",

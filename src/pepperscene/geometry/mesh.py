@@ -37,6 +37,23 @@ class InstanceRuns:
         run = slice(int(self.first[instance]), int(self.stop[instance]))
         return run if self.order is None else self.order[run]
 
+    @cached_property
+    def count(self) -> IndexArray:
+        """`(i,)` number of items of each instance."""
+        return np.asarray(self.stop - self.first)
+
+    def rows_of(self, instances: IndexArray) -> tuple[IndexArray, IndexArray]:
+        """`(m,)` items of some instances, one after another, and the position of the instance of each."""
+        position, number = expand_counts(self.count[instances])
+        rows = self.first[instances].take(position) + number
+        return rows if self.order is None else self.order[rows], position
+
+
+def expand_counts(counts: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """For counts c, the numbers 0 to c - 1 in a row: index of the count that each is for, and the number."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:

@@ -15,7 +15,6 @@ import numpy as np
 
 from pepperscene.camera import Camera, DepthCamera
 from pepperscene.camera.sensor.row_strips import is_whole, row_strips
-from pepperscene.geometry import compilation
 from pepperscene.outputs import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS, needs_surfaces
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.exposure import exposure_parts
@@ -33,7 +32,7 @@ _GPU_DRIVER: Final = 330e6
 NVIDIA H200 (driver 580): 250 to 300 MB with labels, 340 to 370 MB with colours."""
 
 _COMPILER: Final = 100e6
-"""Bytes, where Numba is installed: its compiler, and the contacts that it compiles; measured 102 MB."""
+"""Bytes of Numba and the contacts between organs that it compiles; measured 102 MB."""
 
 _PER_TRIANGLE: Final = 185.0
 """Bytes per triangle of the scene as it is built: the mesh and its copies while it is assembled, and Embree's
@@ -146,11 +145,9 @@ def frame_memory(camera: Camera, outputs: Collection[str], quality: Quality, tri
 def _frame_memory(
     camera: Camera, outputs: Collection[str], quality: Quality, triangles: int, *, in_strips: bool
 ) -> int:
-    total = _PROCESS + _PER_TRIANGLE * triangles
+    total = _PROCESS + _COMPILER + _PER_TRIANGLE * triangles
     if requested_variant().startswith("cuda"):
         total += _GPU_DRIVER
-    if compilation.AVAILABLE:
-        total += _COMPILER
     is_traced = any(OUTPUTS[name].traced for name in set(outputs) - DEPTH_CAMERA_OUTPUTS)
     if needs_surfaces(set(outputs) - DEPTH_CAMERA_OUTPUTS):
         total += _TEXTURES

@@ -13,8 +13,7 @@ from pepperscene.geometry.contacts.detect import NEAR
 from pepperscene.geometry.contacts.joints import Joints, MovableUnit, RigidTransforms
 from pepperscene.geometry.contacts.organs import FRUIT, LEAF, Organs, boxes_overlap, overlapping_boxes
 from pepperscene.geometry.contacts.pairs import PER_MM, PairRules
-from pepperscene.geometry.contacts.patches import expand_counts
-from pepperscene.geometry.mesh import FloatArray, IndexArray
+from pepperscene.geometry.mesh import FloatArray, IndexArray, expand_counts
 
 _UNDERGROUND: Final = 1e5
 _STRIDE: Final = 4  # chosen: with all contacts, poses are compared by every 4th point only

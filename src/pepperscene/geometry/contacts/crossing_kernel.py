@@ -1,7 +1,4 @@
-"""Compiled count of triangles that cross: the arithmetic of `crossing_arrays`, without its large arrays.
-
-Every number is rounded as there, so both give the same counts.
-"""
+"""Compiled count of triangles that cross: by boxes first, then by planes, then by edges and triangles."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.geometry.compilation import compiled
-from pepperscene.geometry.contacts.triangles import OrganMotions, OrganPairs, OrganTriangles
+from pepperscene.geometry.contacts.compiled import compiled
 from pepperscene.geometry.mesh import IndexArray, SingleArray
 
 _TINY: Final = np.float32(1e-30)
@@ -20,39 +16,16 @@ _INFINITE: Final = np.float32(np.inf)
 
 _Vector = tuple[Any, Any, Any]  # Numba's types of single-precision numbers
 _Triangle = tuple[_Vector, _Vector, _Vector]
-
-
-def count_crossings(
-    triangles: OrganTriangles,
-    motions: OrganMotions,
-    pairs: OrganPairs,
-    clearance: np.float32,
-    *,
-    by_boxes: bool,
-) -> IndexArray:
-    """Count pairs of triangles that cross or are closer than the clearance; see `crossing_arrays`."""
-    return _count(
-        triangles.points,
-        triangles.corners,
-        (triangles.vertices.first, triangles.vertices.count),
-        (triangles.faces.first, triangles.faces.count),
-        motions.organ,
-        motions.rotation,
-        motions.shift,
-        pairs.motion,
-        pairs.other,
-        np.concatenate([pairs.low, pairs.high], axis=1),
-        clearance,
-        by_boxes,
-    )
+Runs = tuple[IndexArray, IndexArray]
+"""`(organs,)` index of the first item of each organ, and `(organs,)` number of its items."""
 
 
 @compiled
-def _count(
+def count_crossings(
     points: SingleArray,
     corners: IndexArray,
-    vertex_runs: tuple[IndexArray, IndexArray],
-    face_runs: tuple[IndexArray, IndexArray],
+    vertex_runs: Runs,
+    face_runs: Runs,
     organ: IndexArray,
     rotation: SingleArray,
     shift: SingleArray,
@@ -62,7 +35,25 @@ def _count(
     clearance: np.float32,
     by_boxes: bool,
 ) -> IndexArray:
-    """The count, with runs as pairs of their firsts and counts, and boxes `(n, 6)`."""
+    """Count the pairs of triangles of organs that cross or are closer than the clearance.
+
+    Args:
+        points: `(3, v)` metres, and
+        corners: `(3, f)` indices of these: the triangles of all organs.
+        vertex_runs: first point of each organ, and number of its points.
+        face_runs: first triangle of each organ, and number of its triangles.
+        organ: `(e,)` organs that move,
+        rotation: `(e, 3, 3)` and
+        shift: `(e, 3)` metres: the motion of each.
+        entry: `(n,)` index of the first organ of each pair among these.
+        other: `(n,)` second organ of each pair, which stays.
+        other_boxes: `(n, 6)` metres, lower and upper corners of the second organ's box.
+        clearance: metres.
+        by_boxes: count pairs whose bounding boxes are closer than the clearance.
+
+    Returns:
+        `(n,)` numbers of pairs of triangles.
+    """
     own, own_corners, own_boxes, first = _moved_triangles(
         points, corners, vertex_runs, face_runs, organ, rotation, shift, clearance
     )
@@ -120,8 +111,8 @@ def _count(
 def _moved_triangles(
     points: SingleArray,
     corners: IndexArray,
-    vertex_runs: tuple[IndexArray, IndexArray],
-    face_runs: tuple[IndexArray, IndexArray],
+    vertex_runs: Runs,
+    face_runs: Runs,
     organ: IndexArray,
     rotation: SingleArray,
     shift: SingleArray,

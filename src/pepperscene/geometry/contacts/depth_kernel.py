@@ -1,8 +1,4 @@
-"""Compiled search for patches near others, and their depth: the arithmetic of `near_patches`,
-`fruit_surfaces` and `capsules`.
-
-Every number is rounded as there, so both give the same depths.
-"""
+"""Compiled search for patches of sample points near spheres, and their depth in fruit and stems."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.geometry.compilation import compiled
+from pepperscene.geometry.contacts.compiled import compiled
 from pepperscene.geometry.mesh import IndexArray, SingleArray
 
 _ZERO: Final = np.float32(0.0)
@@ -123,7 +119,7 @@ def depths_in_fruit(
     patch: IndexArray,
     stride: int,
 ) -> SingleArray:
-    """Depth of the deepest point of each patch in a fruit, as `FruitSurfaces.depth`.
+    """Depth of the deepest point of each patch in a fruit; minus infinity where all points are ignored.
 
     Args:
         planes: `(f, cells * cells, 4)` of all fruit.
@@ -131,7 +127,8 @@ def depths_in_fruit(
         fruit: `(h,)` row in `planes`,
         matrix: `(h, 3, 3)`,
         offset: `(h, 3)` metres and
-        limit: `(h,)` metres of each organ near a fruit.
+        limit: `(h,)` metres: of each organ near a fruit, the motion to the fruit's coordinates, and the
+            distance from the fruit's centre beyond which points are ignored.
         hit: `(m,)` index of each patch's organ among these.
         points: `(3, p, s)` metres, of all patches.
         patch: `(m,)`.
@@ -161,8 +158,17 @@ def depths_in_fruit(
 
 
 @compiled
+def direction_cells(points: SingleArray, cells: int) -> IndexArray:
+    """`(n,)` cells of the directions of points `(3, n)` in a map of `cells` by `cells`."""
+    result = np.empty(points.shape[1], np.intp)
+    for number in range(points.shape[1]):
+        result[number] = _cell(points[0, number], points[1, number], points[2, number], cells)
+    return result
+
+
+@compiled
 def _cell(x: Any, y: Any, z: Any, cells: int) -> int:
-    """Cell of a direction, as in `fruit_surfaces`."""
+    """Cell of a direction on an octahedron that is unfolded into a square."""
     scale = _ONE / (abs(x) + abs(y) + abs(z) + _SMALL)
     u, v = x * scale, y * scale
     if z < _ZERO:
@@ -184,7 +190,7 @@ def depths_in_capsules(
     patch: IndexArray,
     stride: int,
 ) -> SingleArray:
-    """Depth of the deepest point of each patch in a capsule, as `Capsules.depth`.
+    """Depth of the deepest point of each patch in a capsule, negative outside.
 
     Args:
         start: `(c, 3)` metres,

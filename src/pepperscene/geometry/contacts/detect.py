@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.capsules import StemCapsules
-from pepperscene.geometry.contacts.fruit_surfaces import FruitSurfaces
 from pepperscene.geometry.contacts.organs import FRUIT, LEAF, STALK, STEM, WIRE, Organs, boxes_overlap
+from pepperscene.geometry.contacts.shapes import FruitSurfaces, StemCapsules
 from pepperscene.geometry.mesh import IndexArray, Mesh, SingleArray
 
 NEAR: Final = 3e-3
@@ -175,24 +174,16 @@ class ContactDetector:
         capsule, pair = capsule[kept], pair[kept]
         patches, patch, entry = self.organs.patches(blades[pair])
         capsule, pair = capsule[entry], pair[entry]
-        near = capsules.depth(patches.centre[patch].T[:, None], capsule) + patches.radius[patch] > -NEAR
+        # Points only of patches whose bounding spheres are near.
+        centres = patches.centre.T[:, :, None]
+        near = capsules.depths(capsule, centres, patch, 1) + patches.radius[patch] > -NEAR
         hit = np.flatnonzero(near)
-        depth = capsules.patch_depths(patches, patch[hit], capsule[hit])
+        depth = capsules.depths(capsule[hit], patches.coordinates, patch[hit], 1)
         np.maximum.at(result, pair[hit], depth)
         return result
 
-
-def count_contacts(mesh: Mesh) -> ContactCounts:
-    """Count the organs of a mesh that touch others.
-
-    Raises:
-        ValueError: two instances of the mesh share vertices.
-    """
-    return current_counts(ContactDetector(mesh))
-
-
-def current_counts(detector: ContactDetector) -> ContactCounts:
-    """Count the organs that touch others at their current poses."""
-    touching = np.isin(detector.fruit, detector.fruit_pairs().deeper_than(0.0))
-    through = np.unique(detector.blade_pairs().deeper_than(0.0)[:, 0])
-    return ContactCounts(len(detector.fruit), int(touching.sum()), len(detector.blades), len(through))
+    def counts(self) -> ContactCounts:
+        """Count the organs that touch others at their current poses."""
+        touching = np.isin(self.fruit, self.fruit_pairs().deeper_than(0.0))
+        through = np.unique(self.blade_pairs().deeper_than(0.0)[:, 0])
+        return ContactCounts(len(self.fruit), int(touching.sum()), len(self.blades), len(through))

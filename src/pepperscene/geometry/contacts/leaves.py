@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.geometry.contacts.coarse import ALL, ROUGH
 from pepperscene.geometry.contacts.cost import ContactCosts, swept_boxes, weighted_effort
-from pepperscene.geometry.contacts.crossings import CLEARANCE, CoarseTriangles
+from pepperscene.geometry.contacts.crossings import ALL, CLEARANCE, ROUGH, CoarseTriangles
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import MovableUnit, RigidTransforms, disc_points, find_joints
 from pepperscene.geometry.contacts.organs import (

@@ -15,10 +15,9 @@ from pepperscene.geometry.contacts.patches import (
     PATCH_SIZE,
     Patches,
     build_patches,
-    expand_counts,
     fill_triangles,
 )
-from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray
+from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray, expand_counts
 
 # Plain integers: members of an enumeration are slow to look up. An organ without a class is a flower.
 FLOWER, LEAF, FRUIT, STALK, STEM, SHOOT, WIRE = (
@@ -75,6 +74,13 @@ def overlapping_boxes(
     return row, column
 
 
+def bounds_of_runs(points: SingleArray, position: IndexArray) -> tuple[SingleArray, SingleArray]:
+    """`(m, 3)` corners of the boxes around runs of points `(3, p)` with equal positions `(p,)`."""
+    starts = np.flatnonzero(np.diff(position, prepend=-1))
+    low = np.stack([np.minimum.reduceat(axis, starts) for axis in points], axis=1)
+    return low, np.stack([np.maximum.reduceat(axis, starts) for axis in points], axis=1)
+
+
 class Organs:
     """The instances of a mesh, each a rigid body with a current pose.
 
@@ -102,9 +108,9 @@ class Organs:
         self.parent = np.array([item.parent for item in mesh.instances], dtype=np.intp)
         self.organ_class = np.array([int(item.organ_class) for item in mesh.instances], dtype=np.intp)
         self.plant = np.array([item.plant for item in mesh.instances], dtype=np.intp)
-        self._vertices, self._face_runs = mesh.vertex_runs, mesh.face_runs
+        self._vertices = mesh.vertex_runs
         scenery = (self.organ_class == FLOWER) & (self.parent < 0)
-        self.solid = (self._vertices.stop > self._vertices.first) & ~scenery
+        self.solid = (self._vertices.count > 0) & ~scenery
         self.low, self.high = self._boxes()
         self._original_low = self.low.astype(np.float32)
         self._original_extent = (self.high - self.low).max(axis=1).astype(np.float32)
@@ -131,48 +137,9 @@ class Organs:
         low, high = self.low[others] - margin, self.high[others] + margin
         return overlapping_boxes(self.low[organs], self.high[organs], low, high)
 
-    @property
-    def is_contiguous(self) -> bool:
-        """Whether the vertices of each organ are contiguous in the mesh."""
-        return self._vertices.order is None
-
-    def first_vertices(self, organs: IndexArray) -> IndexArray:
-        """`(n,)` index in the mesh of the first vertex of some organs, if those of each are contiguous."""
-        return self._vertices.first[organs]
-
-    def face_counts(self, organs: IndexArray) -> IndexArray:
-        """`(n,)` numbers of triangles of some organs."""
-        return np.asarray(self._face_runs.stop[organs] - self._face_runs.first[organs])
-
-    def faces(self, organ: int) -> NDArray[np.uint32]:
-        """`(f, 3)` vertices of the triangles of an organ."""
-        return self.mesh.faces[self._face_runs.rows(organ)]
-
-    def vertex_rows(self, organ: int) -> slice | IndexArray:
-        """Indices of an organ's vertices in the mesh."""
-        return self._vertices.rows(organ)
-
-    def vertices_of(self, organs: IndexArray) -> tuple[IndexArray, IndexArray]:
-        """`(m,)` vertices of some organs, organ after organ, and the position of the organ of each."""
-        first = self._vertices.first[organs]
-        position, number = expand_counts(self._vertices.stop[organs] - first)
-        rows = first[position] + number
-        return rows if self._vertices.order is None else self._vertices.order[rows], position
-
-    def faces_of(self, organs: IndexArray) -> tuple[IndexArray, IndexArray]:
-        """`(m,)` faces of some organs, organ after organ, and the position of the organ of each."""
-        first = self._face_runs.first[organs]
-        position, number = expand_counts(self._face_runs.stop[organs] - first)
-        rows = first[position] + number
-        return rows if self._face_runs.order is None else self._face_runs.order[rows], position
-
     def original_vertices(self, organ: int) -> SingleArray:
         """`(v, 3)` vertices of an organ before all moves."""
         return self.mesh.vertices[self._vertices.rows(organ)]
-
-    def vertex_uv(self, organ: int) -> SingleArray:
-        """`(v, 2)` surface coordinates of an organ's vertices."""
-        return self.mesh.uv[self._vertices.rows(organ)]
 
     def vertex_v(self, organ: int) -> SingleArray:
         """`(v,)` surface coordinate v of an organ's vertices: 0 at its base, 1 at its tip."""
@@ -180,7 +147,7 @@ class Organs:
 
     def original_triangles(self, organs: Sequence[int]) -> tuple[SingleArray, IndexArray]:
         """`(f, 3, 3)` triangles of some organs before all moves, and `(f,)` position of their organ."""
-        faces = [self.mesh.faces[self._face_runs.rows(organ)] for organ in organs]
+        faces = [self.mesh.faces[self.mesh.face_runs.rows(organ)] for organ in organs]
         owner = np.repeat(np.arange(len(faces)), [len(group) for group in faces])
         return self.mesh.vertices[np.concatenate(faces)], owner
 
@@ -220,9 +187,9 @@ class Organs:
         )
         if self._used + len(patches) > len(self.all_patches):
             larger = Patches.empty(2 * (self._used + len(patches)))
-            larger.write(0, self.all_patches.view(slice(self._used)))
+            larger.write(0, self.all_patches, self._used)
             self.all_patches = larger
-        self.all_patches.write(self._used, patches)
+        self.all_patches.write(self._used, patches, len(patches))
         self.patch_first[missing] = self._used + np.cumsum(count) - count
         self.patch_count[missing] = count
         self._used += len(patches)
@@ -235,12 +202,12 @@ class Organs:
             return
         position, number = expand_counts(self.patch_count[organs])
         patch = self.patch_first[organs][position] + number
-        points, centre = self.all_patches.points.transpose(2, 0, 1), self.all_patches.centre.T
+        points, centre = self.all_patches.coordinates, self.all_patches.centre.T
         moved = _transform(points[:, patch], rotation, shift, position)
         points[:, patch] = moved
         centre[:, patch] = _transform(centre[:, patch], rotation, shift, position)
-        starts = np.flatnonzero(np.diff(position, prepend=-1))
-        self._set_boxes(organs, moved.reshape(3, -1), PATCH_SIZE * starts)
+        boxes = bounds_of_runs(moved.reshape(3, -1), np.repeat(position, PATCH_SIZE))
+        self.low[organs], self.high[organs] = boxes
 
     def patches(self, organs: IndexArray) -> tuple[Patches, IndexArray, IndexArray]:
         """Sample points on the surfaces of some organs at their current poses, in patches.
@@ -270,36 +237,37 @@ class Organs:
     def move(self, organs: IndexArray, rotation: FloatArray, shift: FloatArray) -> None:
         """Move every point p of each of some organs `(m,)` to rotation @ p + shift, `(m, 3, 3)`, `(m, 3)`."""
         self.moves += 1
-        self.rotation[organs] = np.matmul(rotation, self.rotation[organs])
-        self.shift[organs] = np.matmul(rotation, self.shift[organs][:, :, None])[:, :, 0] + shift
+        self.rotation[organs], self.shift[organs] = self._poses_after(organs, rotation, shift)
         self.moved_at[organs] = self.moves
-        solid = self.solid[organs]
-        sampled = np.flatnonzero(solid & (self.patch_count[organs] >= 0))
+        # The box of an organ is that of its patches or else of its vertices.
+        solid, is_sampled = self.solid[organs], self.patch_count[organs] >= 0
+        sampled = np.flatnonzero(solid & is_sampled)
         self._move_patches(organs[sampled], rotation[sampled], shift[sampled])
-        others = organs[solid & (self.patch_count[organs] < 0)]
-        rows, position = self.vertices_of(others)
-        points = _transform(self.mesh.vertices[rows].T, self.rotation[others], self.shift[others], position)
-        self._set_boxes(others, points, np.flatnonzero(np.diff(position, prepend=-1)))
+        others = organs[solid & ~is_sampled]
+        if len(others):
+            self.low[others], self.high[others] = self._vertex_boxes(
+                others, self.rotation[others], self.shift[others]
+            )
 
     def boxes_after(
         self, organs: IndexArray, rotation: FloatArray, shift: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[SingleArray, SingleArray]:
         """`(m, 3)` corners of the boxes that solid organs will have after a move by transforms."""
-        rows, position = self.vertices_of(organs)
-        rotation, shift = (
-            np.matmul(rotation, self.rotation[organs]),
-            np.matmul(rotation, self.shift[organs][:, :, None])[:, :, 0] + shift,
-        )
-        points = _transform(self.mesh.vertices[rows].T, rotation, shift, position)
-        starts = np.flatnonzero(np.diff(position, prepend=-1))
-        low = np.stack([np.minimum.reduceat(axis, starts) for axis in points], axis=1)
-        return low, np.stack([np.maximum.reduceat(axis, starts) for axis in points], axis=1)
+        return self._vertex_boxes(organs, *self._poses_after(organs, rotation, shift))
 
-    def _set_boxes(self, organs: IndexArray, points: SingleArray, starts: IndexArray) -> None:
-        """Set the boxes of organs to those of their points `(3, p)`, which start at some positions."""
-        if len(organs):
-            self.low[organs] = np.stack([np.minimum.reduceat(axis, starts) for axis in points], axis=1)
-            self.high[organs] = np.stack([np.maximum.reduceat(axis, starts) for axis in points], axis=1)
+    def _poses_after(
+        self, organs: IndexArray, rotation: FloatArray, shift: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Rotation and shift from the original points of organs, after a further move."""
+        turned = np.matmul(rotation, self.shift[organs][:, :, None])[:, :, 0]
+        return np.matmul(rotation, self.rotation[organs]), turned + shift
+
+    def _vertex_boxes(
+        self, organs: IndexArray, rotation: FloatArray, shift: FloatArray
+    ) -> tuple[SingleArray, SingleArray]:
+        """Corners of the boxes around the vertices of organs at poses."""
+        rows, position = self._vertices.rows_of(organs)
+        return bounds_of_runs(_transform(self.mesh.vertices[rows].T, rotation, shift, position), position)
 
     def current_mesh(self) -> Mesh:
         """The mesh with every organ at its current pose; the original object if none has moved."""
@@ -308,8 +276,8 @@ class Organs:
         vertices, normals = self.mesh.vertices.copy(), self.mesh.normals.copy()
         for organ in np.flatnonzero(self.moved_at).tolist():
             rows = self._vertices.rows(organ)
-            vertices[rows] = self._current_points(organ, vertices[rows])
-            normals[rows] = (normals[rows] @ self.rotation[organ].T).astype(np.float32)
+            vertices[rows] = vertices[rows] @ self.rotation[organ].T + self.shift[organ]
+            normals[rows] = normals[rows] @ self.rotation[organ].T
         return replace(self.mesh, vertices=vertices, normals=normals)
 
     @cached_property
@@ -323,9 +291,6 @@ class Organs:
             if above >= 0:
                 children[above].append(organ)
         return children
-
-    def _current_points(self, organ: int, points: SingleArray) -> SingleArray:
-        return (points @ self.rotation[organ].T + self.shift[organ]).astype(np.float32)
 
     def _boxes(self) -> tuple[FloatArray, FloatArray]:
         """Corners of the bounding box of each organ before all moves."""

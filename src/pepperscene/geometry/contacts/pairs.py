@@ -10,11 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contacts.capsules import Capsules
 from pepperscene.geometry.contacts.detect import NEAR, ContactDetector
 from pepperscene.geometry.contacts.joints import RigidTransforms
-from pepperscene.geometry.contacts.near_patches import near_patches
-from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, boxes_overlap
+from pepperscene.geometry.contacts.organs import FLOWER, FRUIT, LEAF, SHOOT, STALK, Organs, boxes_overlap
+from pepperscene.geometry.contacts.shapes import Capsules
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
 
 CLEARANCE: Final = 0.8e-3
@@ -56,22 +55,22 @@ class FruitPairs:
         spheres, organs = self._spheres, self._detector.organs
         centre, limit = spheres.centre[rows], spheres.radius[rows] + NEAR
         inverse, movers = spheres.rotation.transpose(0, 2, 1)[rows], self._movers[rows]
-        for pair, step, hit, patch in near_patches(organs, movers, centre, limit, transform, transforms):
-            # Relative to the fruit's centre numbers are small, as single precision requires.
-            to_fruit, row = inverse[pair], transform[pair]
-            matrix = np.matmul(to_fruit, transforms.rotation[row, step])
-            offset = np.matmul(to_fruit, (transforms.shift[row, step] - centre[pair])[:, :, None])[:, :, 0]
-            depth = self._detector.surfaces.patch_depths(
-                spheres.row[rows[pair]],
-                matrix.astype(np.float32),
-                offset.astype(np.float32),
-                limit.astype(np.float32)[pair],
-                hit,
-                organs.all_patches,
-                patch,
-                stride,
-            )
-            np.maximum.at(result, (pair[hit], step[hit]), depth)
+        pair, step, hit, patch = _near_patches(organs, movers, centre, limit, transform, transforms)
+        # Relative to the fruit's centre numbers are small, as single precision requires.
+        to_fruit, row = inverse[pair], transform[pair]
+        matrix = np.matmul(to_fruit, transforms.rotation[row, step])
+        offset = np.matmul(to_fruit, (transforms.shift[row, step] - centre[pair])[:, :, None])[:, :, 0]
+        depth = self._detector.surfaces.patch_depths(
+            spheres.row[rows[pair]],
+            matrix.astype(np.float32),
+            offset.astype(np.float32),
+            limit.astype(np.float32)[pair],
+            hit,
+            organs.all_patches,
+            patch,
+            stride,
+        )
+        np.maximum.at(result, (pair[hit], step[hit]), depth)
         return result
 
 
@@ -103,20 +102,59 @@ class StemPairs:
         middle = capsules.start + 0.5 * capsules.span
         limit = capsules.radius + 0.5 * np.sqrt(np.einsum("ci,ci->c", capsules.span, capsules.span)) + NEAR
         blades, transform = self._blades[rows][entry], transform[entry]
-        for pair, step, hit, patch in near_patches(
-            self._organs, blades, middle, limit, transform, transforms
-        ):
-            # Instead of moving blades to stems, move stems back to the blades.
-            inverse = transforms.rotation[transform[pair], step]
-            start = capsules.start[pair] - transforms.shift[transform[pair], step]
-            moved = Capsules(
-                np.matmul(start[:, None], inverse)[:, 0],
-                np.matmul(capsules.span[pair][:, None], inverse)[:, 0],
-                capsules.radius[pair],
-            )
-            depth = moved.patch_depths(self._organs.all_patches, patch, hit, stride)
-            np.maximum.at(result, (entry[pair[hit]], step[hit]), depth)
+        pair, step, hit, patch = _near_patches(self._organs, blades, middle, limit, transform, transforms)
+        # Instead of moving blades to stems, move stems back to the blades.
+        inverse = transforms.rotation[transform[pair], step]
+        start = capsules.start[pair] - transforms.shift[transform[pair], step]
+        moved = Capsules(
+            np.matmul(start[:, None], inverse)[:, 0],
+            np.matmul(capsules.span[pair][:, None], inverse)[:, 0],
+            capsules.radius[pair],
+        )
+        depth = moved.depths(hit, self._organs.all_patches.coordinates, patch, stride)
+        np.maximum.at(result, (entry[pair[hit]], step[hit]), depth)
         return result
+
+
+def _near_patches(
+    organs: Organs,
+    movers: IndexArray,
+    centre: FloatArray,
+    radius: FloatArray,
+    transform: IndexArray,
+    transforms: RigidTransforms,
+) -> tuple[IndexArray, IndexArray, IndexArray, IndexArray]:
+    """Patches of moving organs that overlap spheres, one sphere for each mover.
+
+    Returns:
+        `(h,)` indices of movers and `(h,)` of the transforms with which they meet their spheres; `(m,)` index
+        of each patch's pair among these, and `(m,)` the patches.
+    """
+    from pepperscene.geometry.contacts.depth_kernel import patches_near_spheres, spheres_near_boxes
+
+    limit = radius.astype(np.float32)
+    near, spheres = spheres_near_boxes(
+        organs.low[movers].astype(np.float32),
+        organs.high[movers].astype(np.float32),
+        centre.astype(np.float32),
+        limit,
+        transform,
+        transforms.rotation.astype(np.float32),
+        transforms.shift.astype(np.float32),
+    )
+    pair, step = np.divmod(near, transforms.shift.shape[1])
+    # Sample only organs that come near to something.
+    organs.sample(movers[np.unique(pair)])
+    near_organs, patches = movers[pair], organs.all_patches
+    hit, patch = patches_near_spheres(
+        organs.patch_first[near_organs],
+        organs.patch_count[near_organs],
+        patches.centre.T,
+        patches.radius,
+        spheres,
+        limit[pair],
+    )
+    return pair, step, hit, patch
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.mesh import IndexArray, SingleArray
+from pepperscene.geometry.mesh import IndexArray, SingleArray, expand_counts
 
 SPACING: Final = 4.5e-3
 """Maximum distance in metres of neighbouring points along an edge of two triangles, chosen.
@@ -70,12 +70,6 @@ def squared_lengths(vectors: SingleArray) -> SingleArray:
     return np.asarray(np.einsum("fi,fi->f", vectors, vectors))
 
 
-def expand_counts(counts: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """For counts c, the numbers 0 to c - 1 in a row: index of the count that each is for, and the number."""
-    owner = np.repeat(np.arange(len(counts)), counts)
-    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-
-
 @dataclass(frozen=True, eq=False)
 class Patches:
     """Groups of neighbouring points."""
@@ -90,23 +84,21 @@ class Patches:
     @classmethod
     def empty(cls, count: int) -> Patches:
         """Allocate patches without values."""
-        # Coordinates come first in memory, so that `coordinates` takes them from a view.
+        # Coordinates come first in memory, as compiled functions read them.
         points = np.empty((3, count, PATCH_SIZE), dtype=np.float32).transpose(1, 2, 0)
         return cls(points, np.empty((3, count), dtype=np.float32).T, np.empty(count, dtype=np.float32))
 
-    def coordinates(self, patch: IndexArray, stride: int = 1) -> SingleArray:
-        """`(3, s, h)` metres: x, y and z of every `stride`-th point of patches `(h,)`."""
-        entry = PATCH_SIZE * patch + np.arange(0, PATCH_SIZE, stride)[:, None]
-        return np.stack([axis.take(entry) for axis in self.points.transpose(2, 0, 1).reshape(3, -1)])
+    @property
+    def coordinates(self) -> SingleArray:
+        """`(3, n, PATCH_SIZE)` metres: x, y and z of all points, sharing memory."""
+        return self.points.transpose(2, 0, 1)
 
-    def view(self, rows: slice) -> Patches:
-        """Some of the patches, sharing memory."""
-        return Patches(self.points[rows], self.centre[rows], self.radius[rows])
-
-    def write(self, first: int, other: Patches) -> None:
-        """Overwrite patches, starting at index `first`."""
-        rows = slice(first, first + len(other))
-        self.points[rows], self.centre[rows], self.radius[rows] = other.points, other.centre, other.radius
+    def write(self, first: int, other: Patches, count: int) -> None:
+        """Overwrite patches, starting at index `first`, by the first `count` of others."""
+        for ours, theirs in zip(
+            (self.points, self.centre, self.radius), (other.points, other.centre, other.radius), strict=True
+        ):
+            ours[first : first + count] = theirs[:count]
 
 
 def build_patches(

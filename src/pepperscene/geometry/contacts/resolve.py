@@ -14,8 +14,7 @@ from pepperscene.geometry.contacts.cost import (
     remaining_cost,
     weighted_effort,
 )
-from pepperscene.geometry.contacts.depth import deep_pairs, superfluous_leaves
-from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector, current_counts
+from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector
 from pepperscene.geometry.contacts.joints import (
     JointRotation,
     MovableUnit,
@@ -24,6 +23,7 @@ from pepperscene.geometry.contacts.joints import (
     rotations,
     units_of,
 )
+from pepperscene.geometry.contacts.leaf_crossings import deep_pairs, superfluous_leaves
 from pepperscene.geometry.contacts.leaves import PASSES, LeafSolver
 from pepperscene.geometry.contacts.organs import FRUIT, boxes_overlap
 from pepperscene.geometry.contacts.pairs import CLEARANCE, CROWDED, PairRules
@@ -340,7 +340,7 @@ def resolve_contacts(
     if free_leaves and (not between_plants or len({item.plant for item in mesh.instances}) > 1):
         solver.free_leaves(min(rounds, PASSES))
     left_out = solver.leave_out_leaves() if between_plants else np.empty(0, dtype=np.intp)
-    counts = current_counts(solver.detector)
+    counts = solver.detector.counts()
     moved = solver.organs.current_mesh()
     result = moved.without_triangles(left_out) if len(left_out) else moved
     return ResolvedMesh(result, tuple(solver.motions), counts, tuple(left_out.tolist()))

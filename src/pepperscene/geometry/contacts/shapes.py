@@ -1,24 +1,24 @@
-"""Penetration depth of points in fruit, as star-shaped surfaces."""
+"""Penetration depth of points: in fruit, as star-shaped surfaces; in stems and twine, as capsules."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry import compilation
 from pepperscene.geometry.contacts.organs import Organs
 from pepperscene.geometry.contacts.patches import Patches, squared_lengths
-from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
+from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray, expand_counts
 
 _CELLS: Final = 64  # along either side of the map of directions: cells of 3 degrees, 2 mm on a fruit
 _STEP: Final = 0.06  # rad, maximum distance of the points at which a triangle is entered into the map
 _PRODUCTS: Final = 1 << 17
 """Chosen: size of a matrix product. OpenBLAS splits larger ones, from 2^18 on, over threads, which costs more
 than it gains on busy cores."""
+_PIECE: Final = 0.01  # m, chosen: stems bend so little that straight pieces of about this length are close
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,41 +63,6 @@ class FruitSurfaces:
         centre = np.einsum("fij,fj->fi", rotation, self._centre[row].astype(np.float64)) + shift
         return BoundingSpheres(row, rotation, centre, self._radius[row])
 
-    def depth(
-        self,
-        row: IndexArray,
-        points: SingleArray,
-        matrix: SingleArray,
-        offset: SingleArray,
-        limit: SingleArray,
-    ) -> SingleArray:
-        """Compute the depth of the deepest point of each patch in a fruit.
-
-        Args:
-            row: `(h,)` of the fruit in the table, from `spheres`.
-            points: `(3, s, h)` metres.
-            matrix: `(3, 3, h)` and
-            offset: `(3, h)` metres: matrix @ point + offset is relative to the fruit's centre.
-            limit: `(h,)` metres from that centre; points farther away are ignored.
-
-        Returns:
-            `(h,)` metres, negative outside; minus infinity where all points are ignored.
-        """
-        self._map_planes(row)
-        x, y, z = points
-        local = np.empty_like(points)
-        square = np.zeros_like(x)
-        for axis, (a, b, c) in enumerate(matrix):
-            local[axis] = a * x + b * y + c * z + offset[axis]
-            square += local[axis] * local[axis]
-        near = np.flatnonzero(square < limit * limit)
-        depth = np.full(x.shape, -np.inf, dtype=np.float32)
-        x, y, z = local.reshape(3, -1).take(near, axis=1)
-        first = np.broadcast_to(row * _CELLS**2, depth.shape).ravel().take(near)
-        a, b, c, d = self._planes.reshape(-1, 4).take(_cell(x, y, z) + first, axis=0).T
-        depth.ravel()[near] = d - a * x - b * y - c * z
-        return np.asarray(depth.max(axis=0))
-
     def patch_depths(
         self,
         row: IndexArray,
@@ -114,37 +79,33 @@ class FruitSurfaces:
         Args:
             row: `(h,)` of the fruit in the table, from `spheres`.
             matrix: `(h, 3, 3)` and
-            offset: `(h, 3)` metres, as for `depth`.
-            limit: `(h,)` metres, as for `depth`.
+            offset: `(h, 3)` metres: matrix @ point + offset is relative to the fruit's centre.
+            limit: `(h,)` metres from that centre; points farther away are ignored.
             hit: `(m,)` index of each patch's organ among these.
             patches: all patches.
             patch: `(m,)` of these.
             stride: use every `stride`-th point.
 
         Returns:
-            `(m,)`, as `depth`.
+            `(m,)` metres, negative outside; minus infinity where all points are ignored.
         """
-        if not compilation.AVAILABLE:
-            motion = np.ascontiguousarray(matrix.transpose(1, 2, 0)), np.ascontiguousarray(offset.T)
-            transforms = motion[0].take(hit, axis=2), motion[1].take(hit, axis=1)
-            return self.depth(row[hit], patches.coordinates(patch, stride), *transforms, limit[hit])
         from pepperscene.geometry.contacts.depth_kernel import depths_in_fruit
 
-        self._map_planes(row[hit])
-        points = patches.points.transpose(2, 0, 1)
-        return depths_in_fruit(self._planes, _CELLS, row, matrix, offset, limit, hit, points, patch, stride)
-
-    def _map_planes(self, rows: IndexArray) -> None:
-        """Compute the planes of some fruit that have none yet."""
+        # Compute the planes of those fruit that have none yet.
+        rows = row[hit]
         missing = np.unique(rows[~self._has_planes[rows]])
         if len(missing):
             centre = self._centre[missing]
             self._planes[missing] = _plane_maps(self._organs, self._fruit[missing].tolist(), centre)
             self._has_planes[missing] = True
+        points = patches.coordinates
+        return depths_in_fruit(self._planes, _CELLS, row, matrix, offset, limit, hit, points, patch, stride)
 
 
 def _plane_maps(organs: Organs, fruit: Sequence[int], centre: SingleArray) -> SingleArray:
     """`(f, cells, 4)` planes of some fruit around their centres `(f, 3)`, at the original pose."""
+    from pepperscene.geometry.contacts.depth_kernel import direction_cells
+
     corners, number = organs.original_triangles(fruit)
     corners -= centre[number][:, None]
     a, b, c = (np.ascontiguousarray(corners[:, corner]) for corner in range(3))
@@ -162,7 +123,8 @@ def _plane_maps(organs: Organs, fruit: Sequence[int], centre: SingleArray) -> Si
         for start in range(0, len(group), block):
             rows = group[start : start + block]
             points = weights @ corners[rows].transpose(2, 1, 0)
-            cell = _cell(*points.reshape(3, -1)).reshape(-1, len(rows)) + _CELLS * _CELLS * number[rows]
+            cell = direction_cells(points.reshape(3, -1), _CELLS).reshape(-1, len(rows))
+            cell += _CELLS * _CELLS * number[rows]
             np.maximum.at(maps, cell.ravel(), np.broadcast_to(key[rows], cell.shape).ravel())
     triangle = np.where(maps >= 0, maps & (2**32 - 1), -1).reshape(len(fruit), _CELLS, _CELLS)
     # Empty cells get the triangle of a neighbour.
@@ -190,20 +152,6 @@ def _triangle_planes(a: SingleArray, b: SingleArray, c: SingleArray) -> SingleAr
     return planes.astype(np.float32)
 
 
-def _cell(x: SingleArray, y: SingleArray, z: SingleArray) -> IndexArray:
-    """`(p,)` cell of the direction of each point."""
-    scale = 1.0 / (np.abs(x) + np.abs(y) + np.abs(z) + np.float32(1e-12))
-    u, v = x * scale, y * scale
-    # The lower half of the octahedron is folded out over the corners of the square.
-    below = np.flatnonzero(z < 0.0)
-    x, y = u[below], v[below]
-    u[below], v[below] = np.copysign(1.0 - np.abs(y), x), np.copysign(1.0 - np.abs(x), y)
-    half, last = np.float32(0.5 * _CELLS), _CELLS - 1
-    column = np.minimum((u * half + half).astype(np.int32), last)
-    row = np.minimum((v * half + half).astype(np.int32), last)
-    return np.asarray(row * _CELLS + column)
-
-
 @cache
 def _barycentric_grid(pieces: int) -> SingleArray:
     """`(w, 3)` barycentric coordinates of the points that divide a triangle's edges into so many pieces."""
@@ -211,3 +159,96 @@ def _barycentric_grid(pieces: int) -> SingleArray:
     kept = i + j <= pieces
     i, j = i[kept], j[kept]
     return (np.stack([i, j, pieces - i - j], axis=1) / pieces).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules:
+    """Cylinders with hemispherical ends."""
+
+    start: FloatArray  # `(c, 3)` metres
+    span: FloatArray  # `(c, 3)` metres, from start to end
+    radius: FloatArray  # `(c,)` metres
+
+    @cached_property
+    def low(self) -> FloatArray:
+        """`(c, 3)` metres, lower corners of the bounding boxes."""
+        return np.asarray(np.minimum(self.start, self.start + self.span) - self.radius[:, None])
+
+    @cached_property
+    def high(self) -> FloatArray:
+        """`(c, 3)` metres, upper corners of the bounding boxes."""
+        return np.asarray(np.maximum(self.start, self.start + self.span) + self.radius[:, None])
+
+    def select(self, indices: IndexArray) -> Capsules:
+        """Some of the capsules."""
+        return Capsules(self.start[indices], self.span[indices], self.radius[indices])
+
+    def depths(self, capsule: IndexArray, points: SingleArray, patch: IndexArray, stride: int) -> SingleArray:
+        """`(m,)` metres: depth in capsules `(m,)` of the deepest point of patches `(m,)` of `(3, p, s)`."""
+        from pepperscene.geometry.contacts.depth_kernel import depths_in_capsules
+
+        start, span = self.start.astype(np.float32), self.span.astype(np.float32)
+        x, y, z = span.T
+        square = np.maximum(x * x + y * y + z * z, np.float32(1e-12))
+        radius = self.radius.astype(np.float32)
+        return depths_in_capsules(start, span, square, radius, capsule, points, patch, stride)
+
+
+class StemCapsules:
+    """The capsules of stems and twine, which never move, computed on first use."""
+
+    def __init__(self, organs: Organs) -> None:
+        self._organs = organs
+        self._first = np.zeros(len(organs), dtype=np.intp)
+        self._count = np.full(len(organs), -1)
+        self._capsules = Capsules(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+    def of_tubes(self, tubes: IndexArray) -> tuple[Capsules, IndexArray, IndexArray]:
+        """All capsules so far, `(m,)` indices of those of some tubes, and `(m,)` positions of their tube."""
+        missing = np.unique(tubes[self._count[tubes] < 0])
+        if len(missing):
+            old = self._capsules
+            new, count = _tube_capsules(self._organs, missing.tolist())
+            self._first[missing] = len(old.radius) + np.cumsum(count) - count
+            self._count[missing] = count
+            self._capsules = Capsules(
+                np.concatenate([old.start, new.start]),
+                np.concatenate([old.span, new.span]),
+                np.concatenate([old.radius, new.radius]),
+            )
+        position, number = expand_counts(self._count[tubes])
+        return self._capsules, self._first[tubes][position] + number, position
+
+
+def _tube_capsules(organs: Organs, tubes: Sequence[int]) -> tuple[Capsules, IndexArray]:
+    """Capsules of tubes, each as thick as the wider of the rings at its ends, and `(t,)` their numbers."""
+    vertices = [
+        organs.original_vertices(tube) @ organs.rotation[tube].T + organs.shift[tube] for tube in tubes
+    ]
+    owner = np.repeat(np.arange(len(tubes)), [len(group) for group in vertices])
+    points = np.concatenate(vertices)
+    # The vertices of a ring follow one another and have the same v; along twine v repeats.
+    v = np.round(np.concatenate([organs.vertex_v(tube) for tube in tubes]).astype(np.float64) * 1e5)
+    starts_ring = (np.diff(v, prepend=-1.0) != 0.0) | (np.diff(owner, prepend=-1) != 0)
+    ring = np.cumsum(starts_ring) - 1
+    tube_of = owner[starts_ring]
+    number = np.bincount(ring)
+    centre = np.stack([np.bincount(ring, column) for column in points.T], axis=1) / number[:, None]
+    radius = np.zeros(len(tube_of))
+    np.maximum.at(radius, ring, np.sqrt(np.square(points - centre[ring]).sum(axis=1)))
+    # A piece starts at the first ring of each centimetre, and ends where the next starts or at the last ring.
+    first = np.searchsorted(tube_of, np.arange(len(tubes)))
+    last = np.append(first[1:], len(tube_of)) - 1
+    steps = np.sqrt(np.square(np.diff(centre, axis=0, prepend=centre[:1])).sum(axis=1))
+    steps[first] = 0.0
+    along = np.cumsum(steps)
+    along -= along[first][tube_of]
+    starts = np.diff(np.floor(along / _PIECE), prepend=-1.0) > 0.0
+    starts[first] = True
+    starts[last] = False
+    starts[first[first == last]] = True
+    start = np.flatnonzero(starts)
+    end = np.minimum(np.append(start[1:], len(tube_of)), last[tube_of[start]])
+    widest = np.maximum(np.maximum.reduceat(radius, start), radius[end])
+    capsules = Capsules(centre[start], centre[end] - centre[start], widest)
+    return capsules, np.bincount(tube_of[start], minlength=len(tubes))

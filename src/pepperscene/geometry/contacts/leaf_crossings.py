@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contacts.coarse import ALL
-from pepperscene.geometry.contacts.crossings import CoarseTriangles
+from pepperscene.geometry.contacts.crossings import ALL, CoarseTriangles
 from pepperscene.geometry.contacts.organs import LEAF, SHOOT, Organs
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 
