@@ -121,7 +121,7 @@ def job(tmp_path, changes=None, outputs=("colour",), **options):
 
 
 def test_the_number_of_workers_that_fit_is_given(tmp_path, monkeypatch):
-    # A worker takes 1.4 GB, and 1.5 GB where Numba is installed.
+    # A worker takes 1.5 GB.
     monkeypatch.setenv(MEMORY, "3.4 GB")
     with pytest.raises(ArgumentError, match=r"8 need about .* GB each, and 3\.4 GB .* use at most 2"):
         check_memory(job(tmp_path), 8, 8)
