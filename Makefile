@@ -50,7 +50,7 @@ test: $(VENV)/.installed-tests
 	PEPPERSCENE_SINCE=$(SINCE) $(PYTEST)
 
 # First what takes minutes, with all cores for each test; then the other tests that draw examples, with many of them.
-test-long: $(VENV)/.installed-tests
+test-long: $(VENV)/.installed-docs
 	$(BIN)/python -m pytest -m long --timeout=0 --hypothesis-profile=long
 	$(PYTEST) -m 'not long and hypothesis' --hypothesis-profile=long
 
@@ -58,12 +58,12 @@ durations:
 	@cat out/durations.txt
 
 # PyTorch has other versions on other machines, so it is left out.
-lock: $(VENV)/.installed-tests
+lock: $(VENV)/.installed-docs
 	@mkdir -p requirements
 	{ printf '# What the tests passed with, on Linux with Python 3.11; written by `make lock`.\n'; \
 	  $(PIP) freeze --exclude-editable --exclude torch; } > requirements/lock.txt
 
-docs: $(VENV)/.installed-tests
+docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going -b html -d docs/_build/doctrees docs docs/_build/html
 
 clean:
@@ -79,9 +79,13 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 $(VENV)/.installed-tests: pyproject.toml | $(BIN)/python
 	@$(BIN)/python -c 'import torch' 2>/dev/null || $(PIP) install --quiet $(TORCH) \
 	    || echo "No CPU build of PyTorch can be installed; the tests that need it are skipped."
-	@extras=test,docs,notebooks; $(BIN)/python -c 'import torch' 2>/dev/null && extras=$$extras,test-learn; \
+	@extras=test; $(BIN)/python -c 'import torch' 2>/dev/null && extras=$$extras,test-learn; \
 	    echo $(INSTALL) --editable ".[$$extras]"; $(INSTALL) --editable ".[$$extras]"
 	@touch $(VENV)/.installed $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed-tests
+	$(INSTALL) --editable ".[docs,notebooks]"
+	@touch $@
 
 # An incomplete environment is removed, so that the next call does not use it.
 $(BIN)/python:

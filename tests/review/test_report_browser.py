@@ -18,7 +18,10 @@ from pepperscene.classes import OrganClass
 from pepperscene.frame import Frame
 from pepperscene.review.report import write_report
 
-pytestmark = pytest.mark.skipif(find_chromium() is None, reason="there is no Chromium on this machine")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(find_chromium() is None, reason="there is no Chromium on this machine"),
+]
 
 SIZE = (120, 160)
 FRAME_COUNT = 40

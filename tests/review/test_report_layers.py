@@ -15,7 +15,10 @@ from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.review.report import write_report
 from pepperscene.review.report.colours import instance_colours
 
-pytestmark = pytest.mark.skipif(find_chromium() is None, reason="there is no Chromium on this machine")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(find_chromium() is None, reason="there is no Chromium on this machine"),
+]
 
 PEPPER = int(OrganClass.PEPPER)
 OPACITY = 0.6
