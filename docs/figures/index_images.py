@@ -34,7 +34,7 @@ from pycocotools import mask as coco_mask
 from skimage.color import lab2rgb
 
 import pepperscene as ps
-from pepperscene.building.scenes.portrait import portrait
+from pepperscene.building.scenes.plant_export import portrait
 from pepperscene.camera import spline_trajectory
 from pepperscene.colour.comparison import similarity
 from pepperscene.colour.statistics import bin_angles

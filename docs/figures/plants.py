@@ -30,7 +30,7 @@ from pepperscene import (
     load_sensor,
     look_at,
 )
-from pepperscene.building.scenes.portrait import portrait
+from pepperscene.building.scenes.plant_export import portrait
 from pepperscene.camera import Developing
 
 PHOTOS: Final = Path(__file__).parents[1] / "photos"

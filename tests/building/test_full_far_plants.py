@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pepperscene as ps
-from pepperscene.building.scenes import near_scene
+from pepperscene.building.scenes import scene_builder
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.camera import Camera, Motion, load_lens, load_sensor, look_at
@@ -22,7 +22,7 @@ from pepperscene.scene import FarRow
 @pytest.mark.slow
 def test_later_random_views_show_no_coarse_plant_from_near(monkeypatch):
     # The first view alone decides, and the plants that others would come near to stay coarse.
-    monkeypatch.setattr(near_scene, "DECISIVE_VIEWS", 1)
+    monkeypatch.setattr(scene_builder, "DECISIVE_VIEWS", 1)
     changes = {
         "row.plants_front": 1,
         "row.plants_back": 0,

@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from pepperscene.building.scenes import surfaces as module
+from pepperscene.building.scenes import optics
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.scenes.optics import SurfaceFactory, make_surfaces
 from pepperscene.building.scenes.plants import MIN_SHARED_PLANTS, PROCESSES
-from pepperscene.building.scenes.scene_worker import SceneWorker
-from pepperscene.building.scenes.surfaces import SurfaceFactory, make_surfaces
+from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.cultivar import load_cultivar
 
 RANGE_NM = (500.0, 520.0)
@@ -36,7 +36,7 @@ def assert_equal(made, expected):
 
 
 def test_another_process_makes_the_same_surfaces(kaite, expected, started):
-    with SceneWorker() as worker:
+    with FunctionWorker() as worker:
         assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, worker), expected)
     (process,) = started
     assert (process.returncode, process.stdin.closed, process.stdout.closed) == (0, True, True)
@@ -49,13 +49,13 @@ def test_without_a_working_process_they_are_made_here(script, kaite, expected, m
         program.write_text(f"#!/bin/sh\n{script}\n")
         program.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(program))
-    with SceneWorker() as worker:
+    with FunctionWorker() as worker:
         assert_equal(SurfaceFactory().surfaces(kaite, *RANGE_NM, worker), expected)
 
 
 def test_surfaces_of_the_last_cultivar_are_kept(kaite, monkeypatch):
     calls = []
-    monkeypatch.setattr(module, "make_surfaces", lambda *key: calls.append(key) or {"leaf": len(calls)})
+    monkeypatch.setattr(optics, "make_surfaces", lambda *key: calls.append(key) or {"leaf": len(calls)})
     factory, other = SurfaceFactory(), kaite.model_copy(update={"name": "another"})
     for cultivar, first_nm in (
         (kaite, 400.0),

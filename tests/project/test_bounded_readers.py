@@ -27,11 +27,8 @@ EXCEPTIONS = {
     ("__main__.py", "os.open(os.devnull, os.O_RDWR)"): "the null device",
     ("__main__.py", "open(descriptor, mode, encoding='utf-8', closefd=False)"): "a standard stream",
     ("bench/records.py", "file.read_text(encoding='utf-8')"): "/proc/cpuinfo",
-    ("building/execution/memory.py", "Path('/proc/meminfo').read_text()"): "of the system",
-    ("building/execution/memory.py", "(proc / 'cgroup').read_text()"): "of the system",
-    ("building/execution/memory.py", "(proc / 'mountinfo').read_text()"): "of the system",
-    ("building/execution/memory.py", "(folder / name).read_text()"): "of the system, below /sys",
-    ("building/execution/memory.py", "(folder / 'memory.stat').read_text()"): "of the system, below /sys",
+    ("building/memory.py", "groups.read_text()"): "of the system",
+    ("building/memory.py", "(folder / name).read_text()"): "of the system, below /sys",
     (
         "review/report/write.py",
         "resources.files('pepperscene.review.report').joinpath(name).read_text(encoding='utf-8')",

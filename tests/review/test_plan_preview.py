@@ -16,7 +16,7 @@ from stand_in import StandIn
 
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildJob, BuildOptions
-from pepperscene.building.scenes.frame_renderer import FrameRenderer, SceneKeeper
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera.pose_files.pose_files import read_poses
 from pepperscene.durations import format_duration
 from pepperscene.errors import ArgumentError
@@ -43,7 +43,7 @@ def small(**changes):
 def no_places(resolved, **options):
     renderer = FrameRenderer(resolved, StandIn)
     indices = resolved.recipe.plan.select_indices(None)
-    return renderer, scene_places(renderer, indices, SceneKeeper(StandIn), **options)
+    return renderer, scene_places(renderer, indices, **options)
 
 
 @pytest.mark.parametrize(
@@ -196,10 +196,9 @@ def test_random_views_without_plants_have_limits_only():
 @pytest.mark.slow
 def test_random_places_are_within_their_distance_from_a_target():
     resolved = resolve_recipe("barth2018", {**SMALL, **RANDOM})
-    keeper = SceneKeeper(None)
-    renderer = FrameRenderer(resolved, keeper)
-    places = scene_places(renderer, range(16), keeper, grown=True)
-    fruit = [item for item in keeper.scene.mesh.instances if item.kind == "fruit"]
+    renderer = FrameRenderer(resolved)
+    places = scene_places(renderer, range(16), grown=True)
+    fruit = [item for item in renderer.current_scene.mesh.instances if item.kind == "fruit"]
     assert len(places.poses) == 4
     assert len(places.targets) == len(fruit) > 0
     distances = np.linalg.norm(places.poses[:, None, :3, 3] - places.targets, axis=2)

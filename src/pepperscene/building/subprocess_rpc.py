@@ -21,9 +21,9 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from typing import IO, Any, Final
+from typing import IO, Any, Final, Self
 
 THREADS: Final = ("PEPPERSCENE_THREADS", "OIDN_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Environment variables that limit the threads of a process: of Mitsuba, the denoiser, the matrix library."""
@@ -162,6 +162,45 @@ class Connection:
         finally:
             self.closed.set()
             self._queue.put(())
+
+
+class FunctionWorker:
+    """Calls functions in another process, which starts with the first call and then serves all of them.
+
+    To start a process takes as long as to make three plants.
+    """
+
+    def __init__(self) -> None:
+        self._process: WorkerProcess | None = None
+
+    def start(self) -> None:
+        """Start the process, if it has not been started; raises `OSError` if the system cannot."""
+        if self._process is None:
+            self._process = WorkerProcess(__name__)
+            self._process.send(None)
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """The result of a function of a module there; raises `OSError` or `EOFError` if the process fails."""
+        self.start()
+        assert self._process is not None
+        return self._process.call((function, arguments))
+
+    def close(self, patience_s: float = GRACE_S) -> None:
+        """End the process, by force after some seconds."""
+        if self._process is not None:
+            self._process.close(patience_s)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def serve(connection: Connection) -> None:
+    """Call the requested functions, in a `FunctionWorker`'s process."""
+    for function, arguments in connection:
+        connection.send(function(*arguments))
 
 
 def run_worker(module: str) -> None:

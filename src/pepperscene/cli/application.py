@@ -122,7 +122,7 @@ def _check_current_folder() -> None:
 
 
 def _is_out_of_memory(error: BaseException) -> bool:
-    from pepperscene.building.execution.memory import is_out_of_memory
+    from pepperscene.building.memory import is_out_of_memory
 
     return is_out_of_memory(error)
 

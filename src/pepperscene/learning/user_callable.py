@@ -55,7 +55,7 @@ def user_errors(where: str, argument: str = "") -> Iterator[None]:
     Raises:
         InputError: the function has failed; an `ArgumentError` if there is an argument.
     """
-    from pepperscene.building.execution.memory import is_out_of_memory
+    from pepperscene.building.memory import is_out_of_memory
 
     try:
         yield

@@ -143,7 +143,8 @@ def build(
     job = BuildJob.create(recipe, out, outputs, options)
     job.recipe.check_code()
     indices = job.recipe.recipe.plan.select_indices(frames)
-    executor.check_memory(job, len(indices))
+    if executor.local_processes:
+        job.check_memory(min(executor.local_processes, len(indices)))
     check_output_folder(Path(out), job.info)
     if options.on_start is not None:
         options.on_start(len(indices), job.recipe.recipe.plan.count)

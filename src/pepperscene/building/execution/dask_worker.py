@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.building.execution.job import BuildJob, FrameDone, FrameMaker, OnFrame
-from pepperscene.building.execution.memory import is_out_of_memory
-from pepperscene.building.execution.memory_check import check_worker_memory
+from pepperscene.building.memory import is_out_of_memory
 from pepperscene.building.scenes.plants import PROCESSES
 from pepperscene.building.subprocess_rpc import THREADS
 from pepperscene.errors import SetupError, WorkerError
@@ -109,8 +108,7 @@ def make_unit(request: BuildRequest, number: int, indices: tuple[int, ...]) -> N
         for name in THREADS:
             os.environ.setdefault(name, str(worker.state.nthreads))
         os.environ.setdefault(PROCESSES, "1")
-        allowed = worker.memory_manager.memory_limit
-        _frame_thread.make(request, indices, allowed, send, lambda: _is_cancelled(worker, key))
+        _frame_thread.make(request, indices, send, lambda: _is_cancelled(worker, key))
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
@@ -158,18 +156,16 @@ class _FrameThread:
         self,
         request: BuildRequest,
         indices: tuple[int, ...],
-        allowed: int | None,
         on_frame: OnFrame,
         stop: Callable[[], bool],
     ) -> None:
-        """Make frames, after those of earlier calls; `allowed` are bytes of memory, None without limit."""
-        self._thread.submit(self._make, request, indices, allowed, on_frame, stop).result()
+        """Make frames, after those of earlier calls."""
+        self._thread.submit(self._make, request, indices, on_frame, stop).result()
 
     def _make(
         self,
         request: BuildRequest,
         indices: tuple[int, ...],
-        allowed: int | None,
         on_frame: OnFrame,
         stop: Callable[[], bool],
     ) -> None:
@@ -177,7 +173,7 @@ class _FrameThread:
             return
         self._units += 1
         try:
-            self._frame_maker(request, allowed).make(indices, on_frame, stop)
+            self._frame_maker(request).make(indices, on_frame, stop)
         except BaseException:
             self._release()
             raise
@@ -185,7 +181,7 @@ class _FrameThread:
         timer.daemon = True
         timer.start()
 
-    def _frame_maker(self, request: BuildRequest, allowed: int | None) -> FrameMaker:
+    def _frame_maker(self, request: BuildRequest) -> FrameMaker:
         if self._held is None or self._held[0] != request.build:
             # Release the old plants before making new ones.
             self._release()
@@ -196,7 +192,7 @@ class _FrameThread:
                     "reads other files by the names in the recipe, and would make other frames"
                 )
             try:
-                check_worker_memory(job, allowed)
+                job.check_memory()
             except SetupError as error:
                 raise UnfitWorkerError(str(error)) from None
             self._held = request.build, FrameMaker(job, f"{platform.node()}-{os.getpid()}", eager=True)

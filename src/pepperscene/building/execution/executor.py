@@ -155,23 +155,18 @@ class Dispatcher:
 
 
 class Executor(ABC):
-    """Makes the frames of a job."""
+    """Makes the frames of a job.
+
+    Attributes:
+        local_processes: number of processes that make frames on this machine; 0 for clusters.
+    """
+
+    local_processes: int = 0
 
     @property
     @abstractmethod
     def size(self) -> int:
         """Number of frames that are made at a time."""
-
-    def check_memory(self, job: BuildJob, frames: int) -> None:  # noqa: B027 - clusters check their nodes
-        """Check that frames of a job fit into the memory of this machine, if this machine makes them.
-
-        Args:
-            job: of the build.
-            frames: number of all frames.
-
-        Raises:
-            PepperError: they do not fit.
-        """
 
     @abstractmethod
     def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:

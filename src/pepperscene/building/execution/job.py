@@ -13,7 +13,9 @@ from typing import Any, Final, Self
 import numpy as np
 
 from pepperscene.atomic import write_error
+from pepperscene.building.memory import check_fits, frame_memory
 from pepperscene.building.scenes.frame_renderer import FrameRenderer, RendererFactory
+from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.dataset.store.dataset import FORMAT
 from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus
@@ -105,6 +107,29 @@ class BuildJob:
         from pepperscene.render import resolve_quality
 
         return resolve_quality(self.quality, self.target_error).target
+
+    @cached_property
+    def memory_bytes(self) -> float:
+        """Bytes that a process takes to make frames."""
+        from pepperscene.render import resolve_quality
+
+        quality, recipe = resolve_quality(self.quality, self.target_error), self.recipe
+        triangles = SceneBuilder(recipe.recipe, recipe.cultivar, processes=1).estimate_triangles()
+        in_strips = quality.integrator != "path"
+        return frame_memory(recipe.camera, self.outputs, triangles, recipe.depth_camera, in_strips=in_strips)
+
+    def check_memory(self, processes: int = 1) -> None:
+        """Check that processes of this machine can make frames; errors as of `check_fits`.
+
+        Jobs with a renderer of their own are not checked.
+        """
+        if self.renderer is None:
+            camera, row = self.recipe.camera, self.recipe.recipe.row
+            subject = (
+                f"{self.recipe.recipe.name}: a frame of {camera.width} x {camera.height} pixels and "
+                f"{row.plants_front + row.plants_back} plants with the outputs {', '.join(self.outputs)}"
+            )
+            check_fits(self.memory_bytes, subject, "use a smaller sensor or fewer outputs", processes)
 
     @cached_property
     def info(self) -> dict[str, Any]:

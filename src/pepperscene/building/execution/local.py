@@ -18,8 +18,7 @@ from typing import Any, Final, Self, final
 
 from pepperscene.building.execution.executor import Dispatcher, Executor
 from pepperscene.building.execution.job import BuildJob, FrameDone, FrameMaker
-from pepperscene.building.execution.memory import is_out_of_memory, report_memory_errors
-from pepperscene.building.execution.memory_check import check_memory
+from pepperscene.building.memory import is_out_of_memory, report_memory_errors
 from pepperscene.building.scenes.plants import PROCESSES
 from pepperscene.building.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.errors import PepperError, WorkerError
@@ -34,11 +33,7 @@ _PATIENCE_S: Final = 60.0
 class SerialExecutor(Executor):
     """This process, with all cores and the memory of one scene."""
 
-    size = 1
-
-    def check_memory(self, job: BuildJob, frames: int) -> None:
-        """See `Executor.check_memory`."""
-        check_memory(job, 1, frames)
+    size = local_processes = 1
 
     def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported in ascending order."""
@@ -59,16 +54,12 @@ class ProcessExecutor(Executor):
     """
 
     def __init__(self, workers: int) -> None:
-        self._workers = workers
+        self._workers = self.local_processes = workers
 
     @property
     def size(self) -> int:
         """Number of workers."""
         return self._workers
-
-    def check_memory(self, job: BuildJob, frames: int) -> None:
-        """See `Executor.check_memory`."""
-        check_memory(job, self._workers, frames)
 
     def make(self, job: BuildJob, dispatcher: Dispatcher) -> None:
         """See `Executor.make`; frames are reported as they become complete."""

@@ -8,8 +8,7 @@ from typing import Final
 
 from pepperscene.atomic import canonical_json, check_can_write, digest, write_files
 from pepperscene.building.execution.job import BuildJob, BuildOptions
-from pepperscene.building.execution.memory import report_memory_errors
-from pepperscene.building.execution.memory_check import check_memory
+from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.store.band_channels import recorded_bands
 from pepperscene.dataset.store.dataset import MARK
@@ -71,7 +70,7 @@ def render_frame(
                 f"{folder}: belongs to a data set; add frames to it with `build`, or choose another folder"
             )
     names = {output: f"{output}{OUTPUTS[output].suffix}" for output in job.outputs}
-    check_memory(job)
+    job.check_memory()
     check_can_write(folder, [*names.values(), METADATA])
 
     # Render, encode, and write all files or none.

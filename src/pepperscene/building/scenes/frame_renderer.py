@@ -12,11 +12,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pepperscene.building.scenes.frame_light import largest_light_reach, lit_cameras
-from pepperscene.building.scenes.near_scene import NearPlants
-from pepperscene.building.scenes.scene_builder import SceneBuilder, make_greenhouse
-from pepperscene.building.scenes.scene_worker import SceneWorker
-from pepperscene.building.scenes.surfaces import SurfaceFactory, SurfacePreparation, prepare_for_mitsuba
+from pepperscene.building.scenes.optics import (
+    SurfaceFactory,
+    SurfacePreparation,
+    largest_light_reach,
+    lit_cameras,
+    prepare_for_mitsuba,
+)
+from pepperscene.building.scenes.scene_builder import NearPlants, SceneBuilder, make_greenhouse
+from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
 from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
@@ -33,7 +37,7 @@ if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.render import Quality
-    from pepperscene.scene import LightReach, Scene, Sky
+    from pepperscene.scene import Scene, Sky
 
 
 class SceneRenderer(Protocol):
@@ -91,6 +95,11 @@ class _HeldScene:
     light: tuple[int, str]
     assembled: AssembledScene
     renderer: SceneRenderer
+
+    @property
+    def visible_points(self) -> Any:
+        """The renderer's test of points; None of a renderer without views that depend on the plants."""
+        return getattr(self.renderer, "visible_points", None)
 
 
 class FrameRenderer:
@@ -152,7 +161,7 @@ class FrameRenderer:
         """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
         held = self._scene_of(spec, setup, needs_surfaces(outputs))
-        scene, visible = held.assembled.scene, getattr(held.renderer, "visible_points", None)
+        scene, visible = held.assembled.scene, held.visible_points
         others = self.views.others(spec, outputs, scene, visible)
         camera = self.camera(spec, traced=False)
         seed = frame_seed(self.recipe.seed, spec.index)
@@ -185,7 +194,7 @@ class FrameRenderer:
         if control is None and not self.views.depends_on_scene:
             return self.views.camera(spec)
         held = self._scene_of(spec, setup, traced=control is not None)
-        visible = getattr(held.renderer, "visible_points", None)
+        visible = held.visible_points
         camera = self.views.camera(spec, held.assembled.scene, visible)
         if control is None:
             return camera
@@ -212,7 +221,7 @@ class FrameRenderer:
         setup = self.setups.at(spec)
         builder, others = self._builder(setup), self._frames_of_scene(spec, setup)
         # Surfaces and sky do not depend on the row, whose contacts keep one core busy.
-        beside = SceneWorker() if traced and builder.shares_work else None
+        beside = FunctionWorker() if traced and builder.shares_work else None
         optics = functools.partial(self._optics, spec, setup, others)
         with beside or nullcontext(), ThreadPoolExecutor(1) as pool:
             pending = None
@@ -236,6 +245,11 @@ class FrameRenderer:
         if near.coarse is not None and self.views.depends_on_scene:
             self.views.continue_in(scene, near.views, near.coarse)
         return AssembledScene(scene, statistics)
+
+    @property
+    def current_scene(self) -> Scene | None:
+        """The scene that is held, of the last frame; None before the first."""
+        return None if self._held is None else self._held.assembled.scene
 
     def sky(self, spec: FrameSpec) -> Sky | None:
         """The daylight of a frame, or None if the recipe has none."""
@@ -296,11 +310,8 @@ class FrameRenderer:
         """
         from pepperscene.scene import cull_mesh
 
-        return cull_mesh(mesh, self.views.frustums(specs), self._light_reach(specs))
-
-    def _light_reach(self, specs: Sequence[FrameSpec]) -> LightReach:
-        """The largest reach of light in any of some frames."""
-        return largest_light_reach([self.setups.at(spec) for spec in specs])
+        reach = largest_light_reach([self.setups.at(spec) for spec in specs])
+        return cull_mesh(mesh, self.views.frustums(specs), reach)
 
     def _optics(
         self,
@@ -308,7 +319,7 @@ class FrameRenderer:
         setup: FrameSetup,
         specs: Sequence[FrameSpec],
         prepare: SurfacePreparation | None = None,
-        worker: SceneWorker | None = None,
+        worker: FunctionWorker | None = None,
     ) -> tuple[dict[str, Surface], Sky | None]:
         """The surfaces of a scene over the wavelengths that any camera of its frames detects, and its sky."""
         distinct = {other.optics: other for other in map(self.setups.at, specs)}.values()
@@ -326,23 +337,3 @@ class FrameRenderer:
 
 def _ignore(_: str) -> None:
     """Callback of a caller that wants none."""
-
-
-class SceneKeeper:
-    """Makes renderers of scenes, and keeps the last scene.
-
-    Attributes:
-        scene: the last one, or None.
-
-    Args:
-        renderer: makes them; None for Mitsuba.
-    """
-
-    def __init__(self, renderer: RendererFactory | None) -> None:
-        self._renderer = renderer
-        self.scene: Scene | None = None
-
-    def __call__(self, scene: Scene) -> SceneRenderer:
-        """The renderer of a scene."""
-        self.scene = scene
-        return (self._renderer or mitsuba_renderer)(scene)

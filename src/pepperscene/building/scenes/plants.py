@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pepperscene.building.scenes.plant_size import grow_in_memory
-from pepperscene.building.scenes.scene_worker import SceneWorker
-from pepperscene.building.subprocess_rpc import available_cores
+from pepperscene.building.memory import PER_TRIANGLE, check_fits
+from pepperscene.building.subprocess_rpc import FunctionWorker, available_cores
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.recipe.plan import Stream, check_seed, random_generator
 from pepperscene.recipe.tables import TwineTable
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
 
 PROCESSES: Final = "PEPPERSCENE_PROCESSES"
 """Environment variable: processes that make the plants of a set, 1 or 2."""
+
+_LARGE: Final = 2_000_000  # chosen, as four tomatoes: triangles of a plant that is checked before it is built
 
 MIN_SHARED_PLANTS: Final = 6  # chosen: a process takes as long to start as three plants take to make
 
@@ -136,6 +137,35 @@ def grow_plant_at(
     return GrownPlant(move_plant(plant, resolved.motions), resolved.mesh, resolved.contacts)
 
 
+def grow_in_memory(
+    cultivar: Cultivar, rng: np.random.Generator, *, lean: float = 0.0, detail: float = 1.0
+) -> Plant:
+    """The plant of `pepperscene.grammar.grow`, unless the mesh of so many organs cannot fit into memory.
+
+    Args:
+        cultivar: has the distributions.
+        rng: gives one number, the plant's key.
+        lean: radians, added to the drawn lean of the stem.
+        detail: of the mesh.
+
+    Raises:
+        SetupError: it does not fit.
+    """
+    from pepperscene.geometry.triangle_counts import most_triangles
+    from pepperscene.grammar import build_plant, draw_parameters
+
+    parameters = draw_parameters(cultivar, rng, lean)
+    triangles = most_triangles(parameters, detail)
+    if triangles > _LARGE:
+        organs = sum(map(len, parameters.organs.values()))
+        check_fits(
+            PER_TRIANGLE * triangles,
+            f"{cultivar.name}: a plant of {organs:,} organs and up to {triangles:,} triangles",
+            "let its organs bear fewer others",
+        )
+    return build_plant(parameters)
+
+
 @dataclass(frozen=True, eq=False)
 class PlantFactory:
     """Makes the plants of a recipe's sets; each depends on nothing else."""
@@ -230,7 +260,7 @@ def plant_processes(processes: int | None = None) -> int:
 
 
 def make_plants(
-    factory: PlantFactory, set_index: int, count: int, processes: int, worker: SceneWorker | None = None
+    factory: PlantFactory, set_index: int, count: int, processes: int, worker: FunctionWorker | None = None
 ) -> list[PlacedPlant]:
     """Make the plants of a set, in one or two processes with the same result.
 
@@ -241,7 +271,7 @@ def make_plants(
     pending, plants = deque(range(count)), dict[int, PlacedPlant]()
     if processes == 2 and count >= MIN_SHARED_PLANTS:
         # Without a second process, or when it fails, the plants are made here, where errors are reported.
-        with suppress(OSError), SceneWorker() if worker is None else nullcontext(worker) as second:
+        with suppress(OSError), FunctionWorker() if worker is None else nullcontext(worker) as second:
             _make_in_two_processes(factory, set_index, pending, plants, second)
     # A single one has no neighbours and stays the plant that is grown alone.
     alone = count == 1
@@ -255,7 +285,7 @@ def _make_in_two_processes(
     set_index: int,
     pending: deque[int],
     plants: dict[int, PlacedPlant],
-    worker: SceneWorker,
+    worker: FunctionWorker,
 ) -> None:
     """Make the pending plants: this process takes them from the front, a worker from the end."""
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -18,19 +19,33 @@ from pepperscene.building.scenes.plants import (
     make_plants,
     plant_processes,
 )
-from pepperscene.building.scenes.scene_worker import SceneWorker
-from pepperscene.recipe.plan import Stream, random_generator, rotate_row
+from pepperscene.building.subprocess_rpc import FunctionWorker
+from pepperscene.recipe.plan import FrameSpec, Stream, random_generator, rotate_row
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.camera_views import CameraViews, DrawnViews
 from pepperscene.recipe.tables import GreenhouseTable
+from pepperscene.recipe.views.near_plants import CoarsePlants
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.geometry import ContactCounts, Mesh
-    from pepperscene.scene import DoubleRow, FarRow, Greenhouse, Skeleton
+    from pepperscene.scene import DoubleRow, FarRow, Greenhouse, Scene, Skeleton
 
 
 FAR_DETAIL: Final = 0.3
 """Fineness of the plants that far rows are coarsened from. Chosen: their leaves still hang and fold."""
+
+
+_COARSE: Final = 0.09
+"""Triangles of a plant of the far rows over those of a plant at detail 1, at most: those of stalks; of blades
+they are .06, and of the shipped cultivars .030 to .048."""
+_NEAR_PLANTS: Final = 20  # chosen: plants of far rows that are grown in full; measured 0 to 25
+
+
+DECISIVE_VIEWS: Final = 64
+"""The first random views of a scene decide which plants are grown in full; further ones are drawn so that
+they show no coarse plant from near. Chosen: all frames of a scene wait for these views, .1 to .2 s of CPU
+time for each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +188,7 @@ class SceneBuilder:
         )
         return replace(built, mesh=mesh, skeleton=skeleton)
 
-    def plants(self, set_index: int, worker: SceneWorker | None = None) -> list[PlacedPlant]:
+    def plants(self, set_index: int, worker: FunctionWorker | None = None) -> list[PlacedPlant]:
         """The plants of a set, those of the front row first; a `worker` that helps is left open."""
         if self._set is None or self._set[0] != set_index:
             # Release the old plants before making new ones.
@@ -214,6 +229,21 @@ class SceneBuilder:
             for number in range(FAR_ROW_PLANTS)
         ]
 
+    def estimate_triangles(self) -> int:
+        """Triangles of a scene, from the first plant of the first set: it is drawn, but not built."""
+        from pepperscene.geometry.triangle_counts import most_triangles
+        from pepperscene.grammar import draw_parameters
+        from pepperscene.scene.greenhouse import row_lines
+
+        rng = random_generator(self.recipe.seed, Stream.PLANT, 0, 0)
+        per_plant = most_triangles(draw_parameters(self.cultivar, rng))
+        full, far = self.row.front + self.row.back, 0
+        if self.greenhouse.far_rows > 0:
+            in_line = 2 * math.floor(self.greenhouse.far_reach_m / self.row.spacing_m) + 1
+            far = max(len(row_lines(self.row, self.greenhouse)) * in_line - full, 0)
+        near = min(_NEAR_PLANTS, far)
+        return math.ceil(per_plant * (full + near + _COARSE * (far - near)))
+
     def _full_model(self, number: int) -> GrownPlant:
         """One of these plants in full, grown when it is first needed."""
         if number not in self._full_models:
@@ -245,6 +275,71 @@ def _total_contacts(between: ContactCounts, plants: Sequence[PlacedPlant]) -> Co
         fruit_touching=between.fruit_touching + sum(plant.contacts.fruit_touching for plant in plants),
         blades_touching=between.blades_touching + sum(plant.contacts.blades_touching for plant in plants),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class NearScene:
+    """A scene with its near plants in full.
+
+    Attributes:
+        built: its objects.
+        coarse: the other plants of its far rows, or None without far rows.
+        views: drawn before the plants were grown in full.
+    """
+
+    built: BuiltScene
+    coarse: CoarsePlants | None
+    views: DrawnViews
+
+
+class NearPlants:
+    """Finds the plants of far rows that views of a scene show from near; those of the last scene are kept.
+
+    Args:
+        views: of the recipe.
+        renderer: makes the renderer of a scene.
+    """
+
+    def __init__(self, views: CameraViews, renderer: Callable[[Scene], Any]) -> None:
+        self._views, self._renderer = views, renderer
+        self._found: tuple[object, tuple[int, ...], DrawnViews] | None = None
+
+    def grow(
+        self, key: object, built: BuiltScene, builder: SceneBuilder, specs: Sequence[FrameSpec]
+    ) -> NearScene:
+        """Grow in full what the views of a scene show from near.
+
+        Args:
+            key: of the scene.
+            built: the scene with coarse plants.
+            builder: that built it.
+            specs: all frames of the scene.
+        """
+        if not built.far_rows:
+            return NearScene(built, None, {})
+        if self._found is None or self._found[0] != key:
+            self._found = None
+            self._found = key, *self._find(built, builder, specs)
+        _, numbers, drawn = self._found
+        coarse = CoarsePlants(builder.far_models, built.far_rows, numbers)
+        return NearScene(builder.with_full_plants(built, numbers), coarse, drawn)
+
+    def _find(
+        self, built: BuiltScene, builder: SceneBuilder, specs: Sequence[FrameSpec]
+    ) -> tuple[tuple[int, ...], DrawnViews]:
+        """The numbers of the plants, and the views if they depend on the scene."""
+        coarse = CoarsePlants(builder.far_models, built.far_rows)
+        if not self._views.depends_on_scene:
+            return coarse.shown_near(self._views.near_views(specs)), {}
+        from pepperscene.scene import assemble_scene
+
+        scene = assemble_scene(built.mesh, skeleton=built.skeleton)
+        visible = getattr(self._renderer(scene), "visible_points", None)
+        if self._views.are_random:
+            if visible is None:
+                return (), {}  # such a renderer cannot show random views
+            specs = [spec for spec in specs if spec.step < DECISIVE_VIEWS]
+        return coarse.shown_near(self._views.near_views(specs, scene, visible)), self._views.drawn(scene)
 
 
 def make_greenhouse(table: GreenhouseTable | None) -> Greenhouse:

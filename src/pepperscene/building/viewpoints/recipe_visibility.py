@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.building.scenes.frame_renderer import FrameRenderer, SceneKeeper
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.viewpoints.workspace import ReachTest, Workspace, lattice_poses, random_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator
@@ -121,8 +121,7 @@ def recipe_visibility(
     notify = on_stage or _ignore
     indices = recipe.recipe.plan.select_indices(frames)
     from_file = None if options.poses is None else read_poses(options.poses)
-    keeper = SceneKeeper(None)
-    source = _PoseSource(FrameRenderer(recipe, keeper, culled=False), keeper, options, from_file)
+    source = _PoseSource(FrameRenderer(recipe, culled=False), options, from_file)
     if source.of_frames:
         recipe.check_code()
     groups = source.groups(indices)
@@ -172,13 +171,11 @@ class _PoseSource:
 
     Attributes:
         renderer: of the recipe; its scenes are not culled.
-        keeper: of its scenes.
         options: where poses come from.
         from_file: poses of a file, or None.
     """
 
     renderer: FrameRenderer
-    keeper: SceneKeeper
     options: ViewpointOptions
     from_file: PoseList | None
 
@@ -214,7 +211,7 @@ class _PoseSource:
         """The scene of a frame with all its triangles."""
         # Views that depend on the plants have assembled it already.
         has_scene = self.of_frames and self.renderer.views.depends_on_scene
-        held = self.keeper.scene if has_scene else None
+        held = self.renderer.current_scene if has_scene else None
         return held or self.renderer.scene(spec, traced=False)
 
     def other_poses(self, spec: FrameSpec, observer: FruitObserver, reach: ReachTest | None) -> FloatArray:

@@ -15,8 +15,7 @@ from pathlib import Path
 from pepperscene.atomic import write_error
 from pepperscene.building.execution.executor import work_units
 from pepperscene.building.execution.job import BuildJob
-from pepperscene.building.execution.memory import report_memory_errors
-from pepperscene.building.execution.memory_check import process_memory
+from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.subprocess_rpc import THREADS, available_cores
 from pepperscene.dataset.store.dataset import MARK
@@ -98,7 +97,7 @@ def estimate_cost(
         setup_s=probe.setup_s,
         frame_s=probe.frame_s,
         total_s=build_seconds(job, indices, processes, probe),
-        memory_bytes=process_memory(job, len(indices)),
+        memory_bytes=int(job.memory_bytes),
         frame_bytes=probe.frame_bytes,
         disk_bytes=probe.frame_bytes * len(indices),
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.building.scenes.frame_renderer import FrameRenderer, SceneKeeper
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.resolve.frame_setups import camera_name
@@ -56,15 +56,12 @@ class CameraPlaces:
     limits: RandomViewSettings | None = None
 
 
-def scene_places(
-    renderer: FrameRenderer, indices: Sequence[int], keeper: SceneKeeper, *, grown: bool
-) -> CameraPlaces:
+def scene_places(renderer: FrameRenderer, indices: Sequence[int], *, grown: bool) -> CameraPlaces:
     """The camera places of the scene of the first selected frame, evenly chosen if they are many.
 
     Args:
         renderer: of the recipe.
         indices: selected frames, ascending.
-        keeper: of the renderer's scenes.
         grown: whether the plants may be grown, for views that depend on them.
     """
     recipe, plan = renderer.recipe, renderer.recipe.plan
@@ -82,8 +79,8 @@ def scene_places(
         limits = random_view_settings(table)
         if not isinstance(limits.target, str):
             targets, target_name = np.array([limits.target]), "target"
-        elif keeper.scene is not None:
-            targets, target_name = _organ_targets(renderer, specs, keeper.scene)
+        elif renderer.current_scene is not None:
+            targets, target_name = _organ_targets(renderer, specs, renderer.current_scene)
     elif isinstance(table, PathViews) and table.look_at_mm is not None:
         targets, target_name = np.array([table.look_at_mm]) / 1e3, "target"
     return CameraPlaces(

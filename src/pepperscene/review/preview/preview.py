@@ -9,7 +9,7 @@ from typing import Any, Final
 from pepperscene.atomic import check_can_write, write_files
 from pepperscene.building.execution.build import choose_executor
 from pepperscene.building.execution.job import BuildJob, BuildOptions
-from pepperscene.building.scenes.frame_renderer import FrameRenderer, SceneKeeper
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import ArgumentError
 from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
@@ -75,8 +75,7 @@ def preview_plan(
     if probe:
         job.recipe.check_code()
     name, indices = job.recipe.recipe.name, job.recipe.recipe.plan.select_indices(None)
-    keeper = SceneKeeper(job.renderer)
-    renderer = FrameRenderer(job.recipe, keeper)
+    renderer = FrameRenderer(job.recipe, job.renderer)
     picture_file = None if picture is None else _picture_file(picture, name)
     if poses is not None:
         check_can_write_poses(renderer, indices, grown=probe)
@@ -88,7 +87,8 @@ def preview_plan(
     summary = summarise_plan(job.recipe, indices)
     cost = None
     if probe:
-        executor.check_memory(job, len(indices))
+        if executor.local_processes:
+            job.check_memory(min(executor.local_processes, len(indices)))
         (options.on_notice or _ignore)(f"frame {indices[0]} is rendered to estimate the cost")
         cost = estimate_cost(job, indices, options.workers, renderer)
 
@@ -97,7 +97,7 @@ def preview_plan(
     if picture_file is not None:
         from pepperscene.review.preview.picture import draw_plan, row_geometry
 
-        places = scene_places(renderer, indices, keeper, grown=probe)
+        places = scene_places(renderer, indices, grown=probe)
         rows = row_geometry(renderer.setups.at(places.spec), places.spec.set)
         drawing = draw_plan(name, rows, places)
     files: tuple[Path, ...] = ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from pepperscene.building.execution.memory import format_size
+from pepperscene.building.memory import format_size
 from pepperscene.durations import format_duration
 from pepperscene.review.preview.cost import CostEstimate
 from pepperscene.review.preview.summary import CameraSummary, PlanSummary
