@@ -20,6 +20,8 @@ from pepperscene.scene.sky import SUN_ANGULAR_RADIUS, Sun
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
+pytestmark = pytest.mark.long
+
 NM = np.arange(360.0, 831.0, 0.5)
 EVEN = Spectrum(RANGE_NM, np.ones(2))
 AHEAD, BEHIND = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])

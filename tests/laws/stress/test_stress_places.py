@@ -22,6 +22,8 @@ from pepperscene.geometry import concatenate_meshes
 from pepperscene.render.kernel.arrays import WORLD, local_coordinates
 from pepperscene.scene import assemble_scene
 
+pytestmark = pytest.mark.long
+
 FAR = np.array([10_000.0, -10_000.0, 10_000.0])
 
 

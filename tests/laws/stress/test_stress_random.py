@@ -23,6 +23,8 @@ from pepperscene.scene import Scene, Sky, assemble_scene
 from pepperscene.scene.sky import Sun
 from pepperscene.spectra import Spectrum
 
+pytestmark = pytest.mark.long
+
 EVEN = Spectrum(RANGE_NM, np.ones((1, 2)))
 CAMERA = axis_camera(6, 6)
 CUTICLES = [(ior, alpha) for ior in (1.0, 1.0 + 1e-9, 1.4, 2.5) for alpha in (0.0, 1e-9, 0.01, 0.3, 1.0)]

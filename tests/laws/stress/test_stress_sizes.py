@@ -16,6 +16,8 @@ from pepperscene.outputs import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRA
 from pepperscene.render import Quality, Renderer
 from pepperscene.scene import assemble_scene
 
+pytestmark = pytest.mark.long
+
 WIDE = (3840, 2160)
 
 
