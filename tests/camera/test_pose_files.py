@@ -24,7 +24,7 @@ from pepperscene.camera import (
     write_poses,
 )
 from pepperscene.camera.optics.calibration import CameraCalibration
-from pepperscene.camera.poses.paths import trajectory_from_poses
+from pepperscene.camera.poses.trajectory import trajectory_from_poses
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 FORMATS = {"tum": "poses.txt", "csv": "poses.csv", "nerfstudio": "transforms.json", "colmap": "model"}

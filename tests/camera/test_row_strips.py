@@ -20,9 +20,9 @@ from pepperscene.camera import (
     raw_frame,
     relative_illumination,
 )
-from pepperscene.camera.sensor import row_strips
+from pepperscene.camera.sensor import rows as row_strips
 from pepperscene.camera.sensor.readout import bin_photosites
-from pepperscene.camera.sensor.row_strips import LARGEST_WHOLE, STRIP_PIXELS
+from pepperscene.camera.sensor.rows import LARGEST_WHOLE, STRIP_PIXELS
 
 FLASH = load_flash("led_matrix_200klx")
 BINNED = replace(load_sensor("ueye_ui5250re"), columns=60, rows=50)

@@ -11,7 +11,7 @@ import pytest
 from scipy.special import j1
 
 from pepperscene.camera import Camera, Ghost, StrayLight, add_stray_light, load_lens, load_sensor
-from pepperscene.camera.image.glare import convolve_inside, point_spread
+from pepperscene.camera.image.electrons import convolve_inside, point_spread
 
 LENS, SENSOR = load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re")
 NO_GHOSTS = StrayLight(ghosts=())

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pepperscene.camera.pose_files.pose_files import read_poses
+from pepperscene.camera.pose_files.formats import read_poses
 
 SMALL = (
     "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2", "--set",

@@ -11,7 +11,7 @@ from bodies import axis_camera
 from scipy.spatial.transform import Rotation
 
 from pepperscene.camera import Camera, Distortion, Motion, arc_path
-from pepperscene.camera.sensor.shutter import Shutter
+from pepperscene.camera.sensor.rows import Shutter
 
 VELOCITY, SPIN = (0.4, -0.2, 0.1), (0.3, 0.5, -0.7)
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pepperscene.camera import Developing, load_filter, load_sensor
-from pepperscene.camera.sensor.readout import GAIN_RANGE, LARGEST_MATRIX_ENTRY
+from pepperscene.camera.sensor.developing_steps import GAIN_RANGE, LARGEST_MATRIX_ENTRY
 from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.recipe.camera_tables import DevelopingTable

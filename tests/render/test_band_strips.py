@@ -9,7 +9,7 @@ import pytest
 from greenhouse import camera, greenhouse
 
 from pepperscene.camera import Motion
-from pepperscene.camera.sensor import row_strips
+from pepperscene.camera.sensor import rows as row_strips
 from pepperscene.outputs import BAND_OUTPUTS
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.transport import strips

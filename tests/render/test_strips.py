@@ -9,7 +9,7 @@ import pytest
 from greenhouse import camera, cloudy_sky, greenhouse, others
 
 from pepperscene.camera import Motion
-from pepperscene.camera.sensor import row_strips
+from pepperscene.camera.sensor import rows as row_strips
 from pepperscene.outputs import OUTPUTS
 from pepperscene.render import QUALITIES, Quality, Renderer
 from pepperscene.render.transport import strips

@@ -17,7 +17,7 @@ from stand_in import StandIn
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildJob, BuildOptions
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.camera.pose_files.pose_files import read_poses
+from pepperscene.camera.pose_files.formats import read_poses
 from pepperscene.durations import format_duration
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.resolve.frame_setups import FrameSetups

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 
 from pepperscene.camera import Camera, DepthCamera
-from pepperscene.camera.sensor.row_strips import row_strips
+from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, OUTPUTS
 

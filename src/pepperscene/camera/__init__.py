@@ -1,7 +1,6 @@
 """The camera: lens, sensor, flash and poses, and the conversion of light to images."""
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.depth_camera import DepthCamera, StereoMatching
 from pepperscene.camera.image.auto_exposure import (
     ChosenExposure,
     ExposureControl,
@@ -9,7 +8,6 @@ from pepperscene.camera.image.auto_exposure import (
     metering_camera,
     with_exposure,
 )
-from pepperscene.camera.image.depth_alignment import align_depth
 from pepperscene.camera.image.developing import (
     add_pedestal,
     camera_rgb,
@@ -24,29 +22,30 @@ from pepperscene.camera.image.developing import (
     reference_correction,
     reference_light,
 )
-from pepperscene.camera.image.glare import add_stray_light
-from pepperscene.camera.image.image_light import (
+from pepperscene.camera.image.electrons import (
+    add_stray_light,
     electrons_per_light,
     expected_electrons,
     image_electrons,
     relative_illumination,
 )
-from pepperscene.camera.image.stereo_matching import MatchedDepth, match_depth
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.optics.flash import Flash, load_flash
 from pepperscene.camera.optics.lens import AngularProfile, Lens, load_lens
 from pepperscene.camera.optics.projector import Projector, load_projector
 from pepperscene.camera.optics.stray_light import Ghost, StrayLight
 from pepperscene.camera.optics.white_reference import WhiteReference
-from pepperscene.camera.pose_files.pose_files import PoseFormat, read_poses, write_poses
+from pepperscene.camera.pose_files.formats import PoseFormat, read_poses, write_poses
+from pepperscene.camera.poses.generators import arc_path, grid_poses, look_at, protocol_poses
 from pepperscene.camera.poses.motion import Motion
-from pepperscene.camera.poses.paths import Trajectory, spline_trajectory, trajectory_from_poses
 from pepperscene.camera.poses.pose_list import PoseList
-from pepperscene.camera.poses.poses import arc_path, grid_poses, look_at, protocol_poses
+from pepperscene.camera.poses.trajectory import Trajectory, spline_trajectory, trajectory_from_poses
 from pepperscene.camera.sensor.bands import Band
-from pepperscene.camera.sensor.readout import Developing
+from pepperscene.camera.sensor.developing_steps import Developing
 from pepperscene.camera.sensor.sensor import Filter, Sensor
 from pepperscene.camera.sensor.sensor_files import load_filter, load_sensor
+from pepperscene.camera.stereo.depth_camera import DepthCamera, StereoMatching
+from pepperscene.camera.stereo.depth_images import MatchedDepth, align_depth, match_depth
 
 __all__ = [
     "AngularProfile",

@@ -22,12 +22,11 @@ from pepperscene.camera.pixel_rays import (
     row_directions,
     slope_limits,
 )
-from pepperscene.camera.point_arrays import as_points
-from pepperscene.camera.poses.motion import Motion
-from pepperscene.camera.sensor.line_scanner import crossing_times
-from pepperscene.camera.sensor.readout import Developing
+from pepperscene.camera.poses.checks import as_points
+from pepperscene.camera.poses.motion import Motion, crossing_times
+from pepperscene.camera.sensor.developing_steps import Developing
+from pepperscene.camera.sensor.rows import Shutter
 from pepperscene.camera.sensor.sensor import Sensor
-from pepperscene.camera.sensor.shutter import Shutter
 from pepperscene.errors import InputError
 
 _ROW_ACCURACY_PX: Final = 1e-9  # chosen: rounding of pixel coordinates is a thousandth of it

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.optics.lens import Lens
-from pepperscene.camera.sensor.row_strips import is_whole, row_strips
+from pepperscene.camera.sensor.rows import is_whole, row_strips
 from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.errors import InputError
 

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.pose_files.pose_projects import (
+from pepperscene.camera.pose_files.projects import (
     COLMAP_CAMERAS,
     COLMAP_IMAGES,
     COLMAP_POINTS,

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.camera.pose_files.pose_projects import nerfstudio_frame, nerfstudio_intrinsics
+from pepperscene.camera.pose_files.projects import nerfstudio_frame, nerfstudio_intrinsics
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.export.job import (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, electrons_per_light, measured_electrons
 from pepperscene.camera.optics.white_reference import UNLIT_BANDS, WhiteReference, flash_on_panel
-from pepperscene.camera.sensor.row_strips import row_strips
+from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.render.kernel.camera import (
     SpectralResponse,
     detected_wavelengths,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.point_arrays import as_poses
+from pepperscene.camera.poses.checks import as_poses
 
 _POSE_STRIDE: Final = (
     16  # chosen: every 16th pose sees most of what is visible; the others are tested for the rest

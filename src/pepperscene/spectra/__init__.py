@@ -1,6 +1,5 @@
 """Spectra: sampled functions of wavelength, their files, daylight, and the leaf model PROSPECT."""
 
-from pepperscene.spectra.daylight import D65_K, daylight_basis, daylight_mixture
 from pepperscene.spectra.files import (
     Provenance,
     read_provenance,
@@ -9,7 +8,10 @@ from pepperscene.spectra.files import (
     spectra_file,
 )
 from pepperscene.spectra.lights import (
+    D65_K,
     colour_science,
+    daylight_basis,
+    daylight_mixture,
     illuminance,
     photons_per_joule,
     photopic_efficiency,

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.point_arrays import as_points, as_positions
-from pepperscene.camera.poses.poses import MOST_POSES, look_at
+from pepperscene.camera.poses.checks import MOST_POSES, as_points, as_positions
+from pepperscene.camera.poses.generators import look_at
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import Mesh
 from pepperscene.recipe.views.free_space import FreeSpace

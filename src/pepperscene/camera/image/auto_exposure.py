@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
+from pepperscene.camera.image.electrons import add_stray_light, expected_electrons
 from pepperscene.camera.image.expected_image import expected_image
-from pepperscene.camera.image.glare import add_stray_light
-from pepperscene.camera.image.image_light import expected_electrons
 from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.errors import InputError
 

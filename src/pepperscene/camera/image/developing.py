@@ -16,9 +16,9 @@ from pepperscene.camera.image.colour_correction import (
     colour_correction,
     white_balance_gains,
 )
-from pepperscene.camera.sensor.mosaic_strips import colour_strips, mosaic_strips
-from pepperscene.camera.sensor.readout import LARGEST_PEDESTAL, Floats, Tone
-from pepperscene.camera.sensor.row_strips import row_strips
+from pepperscene.camera.sensor.developing_steps import LARGEST_PEDESTAL, Tone
+from pepperscene.camera.sensor.readout import Floats, colour_strips, mosaic_strips
+from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.spectra import Spectrum
 
 AUTO_PEDESTAL: Final = 0.7

@@ -18,14 +18,8 @@ from numpy.typing import NDArray
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.camera.image.developing import colour_transform, correct_colours, pedestal
-from pepperscene.camera.sensor.readout import (
-    Demosaic,
-    Developing,
-    Floats,
-    average_areas,
-    bin_photosites,
-    demosaic_image,
-)
+from pepperscene.camera.sensor.developing_steps import Demosaic, Developing
+from pepperscene.camera.sensor.readout import Floats, average_areas, bin_photosites, demosaic_image
 from pepperscene.camera.sensor.sensor import Pattern, Sensor
 from pepperscene.spectra import Spectrum
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.poses.poses import (
+from pepperscene.camera.poses.checks import (
     LATEST_S,
     LEAST_INTERVAL_S,
     MOST_POSES,

@@ -84,7 +84,7 @@ class AreaAverage:
         margin = (self.sites - self.pixels * self.factor) / 2
         last = margin + end * self.factor
         stop = -(-last.numerator // last.denominator)
-        return slice(int(margin + first * self.factor) & ~1, min(stop + 1 & ~1, self.sites))
+        return slice(2 * int((margin + first * self.factor) / 2), min(stop + stop % 2, self.sites))
 
 
 @lru_cache(maxsize=8)

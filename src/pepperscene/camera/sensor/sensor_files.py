@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from pepperscene.camera.sensor.band_files import (
+from pepperscene.camera.sensor.bands import (
     MOST_BANDS,
     BandCurvesTable,
     BandTable,

@@ -22,7 +22,7 @@ from pepperscene.recipe.views_tables import (
 
 if TYPE_CHECKING:
     from pepperscene.camera import Motion
-    from pepperscene.camera.poses.paths import Trajectory
+    from pepperscene.camera.poses.trajectory import Trajectory
     from pepperscene.scene import Greenhouse
 
 Array = NDArray[np.float64]
@@ -77,8 +77,8 @@ def _views(
 ) -> tuple[Array, Array | None]:
     """Poses `(n, 4, 4)`; velocities and angular velocities `(2, n, 3)`, or None without motion."""
     from pepperscene.camera import arc_path, grid_poses, protocol_poses
-    from pepperscene.camera.poses.paths import trajectory_from_poses
-    from pepperscene.camera.poses.poses import too_close
+    from pepperscene.camera.poses.checks import too_close
+    from pepperscene.camera.poses.trajectory import trajectory_from_poses
 
     match table:
         case ArcViews():
@@ -125,7 +125,7 @@ def _views(
 
 
 def _path(table: PathViews, frames: int | None, where: str) -> Trajectory:
-    from pepperscene.camera.poses.paths import spline_trajectory
+    from pepperscene.camera.poses.trajectory import spline_trajectory
 
     rate = table.frame_rate_hz
     look_at = None if table.look_at_mm is None else np.array(table.look_at_mm) / 1e3
@@ -160,7 +160,7 @@ def _content(table: Views) -> _Content:
 
 @lru_cache(maxsize=8)
 def _read_poses(file: str, _content: _Content) -> tuple[Array, Array | None]:
-    from pepperscene.camera.pose_files.pose_files import read_poses
+    from pepperscene.camera.pose_files.formats import read_poses
 
     found = read_poses(Path(file))
     return found.poses, found.times_s

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.sensor.row_strips import row_strips
+from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh
 from pepperscene.render.kernel.arrays import device_array, device_uint

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.sensor.row_strips import row_strips
+from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.geometry import Mesh
 from pepperscene.outputs import TRAIT_OUTPUTS
 from pepperscene.render.aov import labels

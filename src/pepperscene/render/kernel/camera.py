@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Motion, Sensor
-from pepperscene.camera.sensor.row_strips import row_strips
-from pepperscene.camera.sensor.shutter import RowWindows
+from pepperscene.camera.sensor.rows import RowWindows, row_strips
 from pepperscene.render.kernel.arrays import (
     WORLD,
     LocalCoordinates,

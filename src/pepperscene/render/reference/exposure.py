@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.sensor.shutter import RowWindows
+from pepperscene.camera.sensor.rows import RowWindows
 from pepperscene.render.quality import Quality
 from pepperscene.render.reference.path_tracer import path_scene, path_traced, samples_taken
 from pepperscene.scene import Scene

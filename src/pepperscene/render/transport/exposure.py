@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.sensor.shutter import RowWindows
+from pepperscene.camera.sensor.rows import RowWindows
 from pepperscene.render.transport.accumulate import SampleVariance, TracedLight
 
 

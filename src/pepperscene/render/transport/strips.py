@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.sensor.row_strips import row_strips
+from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.accumulate import GuidedLight, TracedLight
 from pepperscene.render.transport.adaptive import AdaptiveSampler, sampling_metadata

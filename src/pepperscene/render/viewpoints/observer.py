@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.point_arrays import as_poses
-from pepperscene.camera.poses.poses import check_poses
+from pepperscene.camera.poses.checks import as_poses, check_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.render.kernel.arrays import local_coordinates
 from pepperscene.render.kernel.scene import truth_scene

@@ -20,7 +20,7 @@ from pepperscene.recipe.views_tables import PathViews, RandomViews
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
-    from pepperscene.camera.pose_files.pose_files import PoseFormat
+    from pepperscene.camera.pose_files.formats import PoseFormat
     from pepperscene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ def check_can_write_poses(renderer: FrameRenderer, indices: Sequence[int], *, gr
         ArgumentError: the views depend on plants that must not be grown, or the frames are too many for a
             file.
     """
-    from pepperscene.camera.poses.poses import MOST_POSES
+    from pepperscene.camera.poses.checks import MOST_POSES
 
     if renderer.views.depends_on_scene and not grown:
         kind = renderer.recipe.views.kind
@@ -163,7 +163,7 @@ def write_selected_poses(path: Path, renderer: FrameRenderer, indices: Sequence[
     Raises:
         PepperError: a frame has no view, or the file cannot be written.
     """
-    from pepperscene.camera.pose_files.pose_files import write_poses
+    from pepperscene.camera.pose_files.formats import write_poses
     from pepperscene.camera.poses.pose_list import PoseList
 
     file_format = pose_format(path)

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from pepperscene.camera.poses.generators import look_at
 from pepperscene.camera.poses.pose_list import (
     Array,
     Label,
@@ -25,7 +26,6 @@ from pepperscene.camera.poses.pose_list import (
     rotations_of_quaternions,
     text_of,
 )
-from pepperscene.camera.poses.poses import look_at
 from pepperscene.errors import ArgumentError, InputError
 
 _TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")

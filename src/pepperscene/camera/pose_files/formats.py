@@ -10,19 +10,13 @@ from pathlib import Path
 from typing import Final, Literal, get_args
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.pose_files.pose_projects import (
-    colmap_texts,
-    nerfstudio_text,
-    read_colmap,
-    read_nerfstudio,
-)
-from pepperscene.camera.pose_files.pose_tables import csv_text, read_csv, read_tum, tum_text
+from pepperscene.camera.pose_files.projects import colmap_texts, nerfstudio_text, read_colmap, read_nerfstudio
+from pepperscene.camera.pose_files.tables import csv_text, read_csv, read_tum, tum_text
 from pepperscene.camera.poses.pose_list import PoseList
 from pepperscene.document import read_text
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 PoseFormat = Literal["tum", "csv", "nerfstudio", "colmap"]
-
 _ALLOWED: Final = "allowed are TUM, CSV with a header, nerfstudio's transforms.json and COLMAP's images.txt"
 _MOST_LINES: Final = 3_000_000  # chosen: 100,000 poses, the most that are read, have 2.6 million as JSON
 _READERS: Final = {"tum": read_tum, "csv": read_csv, "nerfstudio": read_nerfstudio, "colmap": read_colmap}

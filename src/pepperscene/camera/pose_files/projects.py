@@ -35,7 +35,6 @@ COLMAP_CAMERAS: Final = "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n"
 COLMAP_IMAGES: Final = f"# {_COLMAP_FIELDS}\n# POINTS2D[] as X Y POINT3D_ID\n"
 COLMAP_POINTS: Final = "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX\n"
 """First lines of the files of a model."""
-
 _RADIAL: Final = ("k1", "k2", "k3", "k4", "k5", "k6")
 
 
