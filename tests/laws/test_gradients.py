@@ -18,9 +18,9 @@ from pepperscene.classes import Appearance
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface, organ_surfaces
+from pepperscene.render.arrays import local_coordinates
 from pepperscene.render.gradients import detached_sampling as passes
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
-from pepperscene.render.kernel.arrays import local_coordinates
 from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene
 from pepperscene.render.quality import Quality

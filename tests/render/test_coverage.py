@@ -17,7 +17,7 @@ from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render import Renderer
 from pepperscene.render.aov import coverage
 from pepperscene.render.aov.coverage import POINTS, SceneCoverage, pixel_points
-from pepperscene.render.kernel.arrays import local_coordinates
+from pepperscene.render.arrays import local_coordinates
 from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene

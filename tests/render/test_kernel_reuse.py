@@ -11,7 +11,7 @@ from greenhouse import camera, cloudy_sky, greenhouse, row_of_plants, surfaces
 from pepperscene.materials import lambertian_surface
 from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.render import Renderer
-from pepperscene.render.kernel.arrays import ALIGNMENT, device_array, device_float, device_uint
+from pepperscene.render.arrays import ALIGNMENT, device_array, device_float, device_uint
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Sky, assemble_scene
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pepperscene.render.kernel.arrays import device_array, device_uint
+from pepperscene.render.arrays import device_array, device_uint
 from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.variant import mitsuba_modules
 

@@ -18,7 +18,7 @@ from pepperscene.geometry import mesh_plant, rectangle
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.outputs import DEFAULT_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render import Renderer
-from pepperscene.render.kernel.arrays import local_coordinates
+from pepperscene.render.arrays import local_coordinates
 from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import light_scene
 from pepperscene.render.variant import mitsuba_modules

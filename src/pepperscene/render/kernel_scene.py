@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Motion, Projector
-from pepperscene.render.kernel.arrays import LocalCoordinates, local_coordinates
+from pepperscene.render.arrays import LocalCoordinates, local_coordinates
 from pepperscene.render.kernel.camera import (
     CameraRays,
     SpectralResponse,

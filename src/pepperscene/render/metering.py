@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, metering_camera
-from pepperscene.render.kernel.arrays import LocalCoordinates
+from pepperscene.render.arrays import LocalCoordinates
 from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import LightScene, sky_tables
 from pepperscene.render.transport.denoise import denoised

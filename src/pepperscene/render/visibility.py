@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import Camera
 from pepperscene.camera.poses.checks import as_points
 from pepperscene.render.aov.flow import is_unoccluded
-from pepperscene.render.kernel.arrays import LocalCoordinates
+from pepperscene.render.arrays import LocalCoordinates
 
 FloatArray = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from trimesh.creation import cylinder
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import concatenate_meshes
-from pepperscene.render.kernel.arrays import WORLD, local_coordinates
+from pepperscene.render.arrays import WORLD, local_coordinates
 from pepperscene.scene import assemble_scene
 
 pytestmark = pytest.mark.long

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, colour_transform, reference_light
-from pepperscene.render.kernel.arrays import device_array, device_uint
+from pepperscene.render.arrays import device_array, device_uint
 from pepperscene.render.kernel.camera import CameraRays, detected_wavelengths
 from pepperscene.render.kernel.scene import LightScene
 from pepperscene.render.surface.optics import STEP_NM, Optics

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh
-from pepperscene.render.kernel.arrays import device_array, device_uint
+from pepperscene.render.arrays import device_array, device_uint
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.variant import mitsuba_modules
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.render.aov.labels import Hits, positions, world_directions
-from pepperscene.render.kernel.arrays import LocalCoordinates, device_array, device_float
+from pepperscene.render.arrays import LocalCoordinates, device_array, device_float
 from pepperscene.render.variant import mitsuba_modules
 
 CLEARANCE: Final = 1e-4

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.geometry import Mesh
-from pepperscene.render.kernel.arrays import LocalCoordinates, device_uint, local_coordinates
+from pepperscene.render.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.truth.amodal import AmodalMask

@@ -14,7 +14,7 @@ from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.geometry import Mesh
 from pepperscene.outputs import TRAIT_OUTPUTS
 from pepperscene.render.aov import labels
-from pepperscene.render.kernel.arrays import LocalCoordinates
+from pepperscene.render.arrays import LocalCoordinates
 from pepperscene.render.kernel.camera import CameraRays
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.geometry import Mesh
-from pepperscene.render.kernel.arrays import device_uint
+from pepperscene.render.arrays import device_uint
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.truth import class_colour, distance_code

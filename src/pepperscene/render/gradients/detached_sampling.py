@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.kernel.arrays import device_uint
+from pepperscene.render.arrays import device_uint
 from pepperscene.render.quality import Quality
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.scattering import MIN_COSINE, SurfacePoint

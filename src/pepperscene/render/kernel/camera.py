@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, Motion, Sensor
 from pepperscene.camera.sensor.rows import RowWindows, row_strips
-from pepperscene.render.kernel.arrays import (
+from pepperscene.render.arrays import (
     WORLD,
     LocalCoordinates,
     device_array,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh
-from pepperscene.render.kernel.arrays import WORLD, LocalCoordinates, device_array, local_coordinates
+from pepperscene.render.arrays import WORLD, LocalCoordinates, device_array, local_coordinates
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.surface.textures import choose_texture, texture_count

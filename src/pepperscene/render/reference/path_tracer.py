@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.geometry.mesh import PIGMENTS
-from pepperscene.render.kernel.arrays import LocalCoordinates, device_uint, local_coordinates
+from pepperscene.render.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
 from pepperscene.render.kernel.scene import mitsuba_mesh, organ_table
 from pepperscene.render.reference.emitters import SpectralTable, daylight_emitter, flash_emitter

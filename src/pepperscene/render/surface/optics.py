@@ -24,7 +24,7 @@ from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.materials import Surface
 from pepperscene.materials.gloss import BLUR_NODES, LARGEST_BLUR, TABLE_SIZE
 from pepperscene.materials.surface import AGEING_RANGE
-from pepperscene.render.kernel.arrays import channel_array, device_array, device_float, device_uint
+from pepperscene.render.arrays import channel_array, device_array, device_float, device_uint
 from pepperscene.render.surface.body import BodyPlace, SurfacePlace
 from pepperscene.render.surface.channel_colours import channel_colours, channel_fractions, spectra_rows
 from pepperscene.render.surface.cuticle import cuticle_tables, narrowest_alpha

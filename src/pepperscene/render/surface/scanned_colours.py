@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.materials.srgb_reflectance import srgb_basis
-from pepperscene.render.kernel.arrays import channel_array, device_array
+from pepperscene.render.arrays import channel_array, device_array
 from pepperscene.render.variant import mitsuba_modules
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.materials import Surface
-from pepperscene.render.kernel.arrays import device_array
+from pepperscene.render.arrays import device_array
 from pepperscene.render.variant import mitsuba_modules
 
 LEVELS: Final = 12

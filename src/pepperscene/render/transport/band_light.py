@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.kernel.arrays import BATCH, channel_array, device_uint
+from pepperscene.render.arrays import BATCH, channel_array, device_uint
 from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.surface.body import SurfacePlace

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from pepperscene.render.kernel.arrays import BATCH, channel_array, device_uint
+from pepperscene.render.arrays import BATCH, channel_array, device_uint
 from pepperscene.render.surface.body import BodyPlace
 from pepperscene.render.surface.scattering import SurfacePoint, by_lobe
 from pepperscene.render.transport.band_records import Vertex, arrays, finite, follow

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from pepperscene.render.kernel.arrays import BATCH, channel_array
+from pepperscene.render.arrays import BATCH, channel_array
 from pepperscene.render.surface.body import BodyPlace
 from pepperscene.render.surface.scattering import by_lobe
 from pepperscene.render.transport.bands import BandTables, LightTables, gather_batch

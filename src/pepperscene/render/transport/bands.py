@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.kernel.arrays import BATCH, channel_array, device_array, device_uint
+from pepperscene.render.arrays import BATCH, channel_array, device_array, device_uint
 from pepperscene.render.kernel.camera import SpectralResponse
 from pepperscene.render.kernel.scene import SkyTables
 from pepperscene.render.surface.optics import Optics

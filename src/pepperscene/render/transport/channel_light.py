@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.kernel.arrays import device_uint
+from pepperscene.render.arrays import device_uint
 from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.path_lengths import LONG_ROULETTE, ROULETTE

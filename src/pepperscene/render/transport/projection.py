@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Projector
-from pepperscene.render.kernel.arrays import device_array, device_float
+from pepperscene.render.arrays import device_array, device_float
 from pepperscene.render.kernel.camera import CameraRays, RayPose, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene
 from pepperscene.render.transport.lights import FrameTables, frame_tables

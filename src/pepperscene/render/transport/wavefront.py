@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.kernel.arrays import device_array, device_uint
+from pepperscene.render.arrays import device_array, device_uint
 from pepperscene.render.transport.accumulate import Images
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples

@@ -14,7 +14,7 @@ from pepperscene.errors import ArgumentError
 from pepperscene.geometry import Mesh
 from pepperscene.geometry.surface_samples import SurfaceSamples, sample_surface
 from pepperscene.render.aov.harvest import find_fruit_stalk, organ_ancestors
-from pepperscene.render.kernel.arrays import LocalCoordinates
+from pepperscene.render.arrays import LocalCoordinates
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 from pepperscene.truth.cut_point import FruitStalk

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from pepperscene.camera import Camera
-from pepperscene.render.kernel.arrays import device_array, device_float, device_uint
+from pepperscene.render.arrays import device_array, device_float, device_uint
 from pepperscene.render.variant import mitsuba_modules
 
 _NODES: Final = 257

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import Camera
 from pepperscene.camera.poses.checks import as_poses, check_poses
 from pepperscene.errors import ArgumentError
-from pepperscene.render.kernel.arrays import local_coordinates
+from pepperscene.render.arrays import local_coordinates
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.render.viewpoints.fruit_parts import (
     PEDUNCLE_SAMPLES,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh
 from pepperscene.render.aov.flow import CLEARANCE
-from pepperscene.render.kernel.arrays import LocalCoordinates, device_array, device_float, device_uint
+from pepperscene.render.arrays import LocalCoordinates, device_array, device_float, device_uint
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.render.viewpoints.fruit_parts import FruitSamples, IsolatedParts, isolate_parts
 from pepperscene.render.viewpoints.image_map import ImageMap
