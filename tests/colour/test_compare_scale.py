@@ -18,9 +18,9 @@ from pepperscene.colour import (
     format_tables,
     open_patches,
 )
+from pepperscene.colour.comparison.appearance import Scale
 from pepperscene.colour.comparison.measure import measure_set
-from pepperscene.colour.comparison.missing import missing_parts
-from pepperscene.colour.comparison.scale import Scale
+from pepperscene.colour.comparison.tables import missing_parts
 from pepperscene.errors import ArgumentError
 
 LABELLED = noisy_set(1, 2, size=(60, 80), name="labelled")

@@ -233,7 +233,7 @@ def compare(
     """Compare two image sets. Measures colour, saturation, texture, class fractions, positions and light."""
     from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
     from pepperscene.colour.comparison.compare import compare as compare_sets
-    from pepperscene.colour.comparison.open_sets import open_two_sets
+    from pepperscene.colour.comparison.compare import open_two_sets
 
     if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
         raise InputError("--figure", f"must end in .svg or .png, not {figure.name}")

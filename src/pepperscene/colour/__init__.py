@@ -3,8 +3,7 @@
 from pepperscene.colour.comparison.bootstrap import Estimate
 from pepperscene.colour.comparison.compare import compare
 from pepperscene.colour.comparison.figure import comparison_figure
-from pepperscene.colour.comparison.json_result import comparison_json
-from pepperscene.colour.comparison.result import Comparison, KindComparison
+from pepperscene.colour.comparison.result import Comparison, KindComparison, comparison_json
 from pepperscene.colour.comparison.tables import comparison_tables, format_tables
 from pepperscene.colour.patches.chart import Calibration, calibrate
 from pepperscene.colour.patches.open import open_patches

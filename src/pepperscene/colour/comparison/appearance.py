@@ -38,26 +38,25 @@ from pepperscene.colour.comparison.bootstrap import (
     estimate_values,
     unknown_estimate,
 )
-from pepperscene.colour.comparison.scale import Scale
 from pepperscene.colour.statistics import bin_angles, circular_sd, linear_srgb_to_lab
+from pepperscene.truth import centre_side
 
+WIDTH_PX: Final = 580
+"""Width at which textures are compared by default. Chosen: photographs of public data sets are 590 to 800
+pixels wide, and a pixel of one that shows 70 cm of a row is about as large as a secondary vein."""
 WHOLE: Final = "image"
 """Name of the kind that contains all pixels."""
-
 PERCENT: Final = (10.0, 50.0, 90.0)
 SATURATION_BINS: Final = 200
 SATURATION_WIDTH: Final = 0.01
 """Chosen: 200 bins reach to S = 2, beyond the most saturated colour of sRGB but for a few dark blues, which
 the last bin counts as well."""
-
 HUE_BINS: Final = 360
 LEAST_REGION_PX: Final = 400
 """Pixels of the smallest organ that is measured. Chosen: 20 x 20, whose border is a fifth of it."""
-
 DARK_CODE: Final = 6
 """Greatest code whose linear value, 0.0018, is below 0.002: a channel that holds no colour. Photographs hold
 no exact zeros, because of noise and compression."""
-
 # Columns of the sums of a kind.
 SATURATIONS: Final = slice(0, SATURATION_BINS)
 HUES: Final = slice(SATURATION_BINS, SATURATION_BINS + HUE_BINS)
@@ -68,6 +67,36 @@ PATCHES, PATCH_SD, TEXTURED, COHERENCE, GREATER, LESSER = range(_AFTER + 7, _AFT
 SPECTRA, SLOPE, SLOPE_SQUARED = range(_AFTER + 13, _AFTER + 16)
 LOG_POWER: Final = slice(_AFTER + 16, _AFTER + 16 + SPECTRUM_BINS)
 _WIDTH: Final = _AFTER + 16 + SPECTRUM_BINS
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Central square and scale at which the images of a set are measured.
+
+    Attributes:
+        width_px: all images are reduced to this width before textures are measured, or
+        factor: all are reduced by this factor, at most 1, if given.
+        pixel_mm: size on the plants of a pixel of an image reduced by this factor, in millimetres.
+        centre_px: side of the central square in which hues and CIELAB are measured; None for the same
+            fraction of each image, `truth.centre_side`.
+    """
+
+    width_px: int = WIDTH_PX
+    factor: float | None = None
+    pixel_mm: float | None = None
+    centre_px: int | None = None
+
+    def width(self, width_px: int) -> int | None:
+        """Width in pixels at which textures of an image of this width are measured; None if too narrow."""
+        if self.factor is not None:
+            return max(1, round(self.factor * width_px))
+        return self.width_px if width_px >= self.width_px else None
+
+    def centre(self, height_px: int, width_px: int) -> int:
+        """Side in pixels of the central square of an image."""
+        if self.centre_px is None:
+            return centre_side(height_px, width_px)
+        return min(self.centre_px, height_px, width_px)
 
 
 @dataclass(frozen=True)

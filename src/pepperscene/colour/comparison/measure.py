@@ -15,10 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import decode_tone
 from pepperscene.camera.image.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
-from pepperscene.colour.comparison.appearance import WHOLE, add_appearance
+from pepperscene.colour.comparison.appearance import WHOLE, Scale, add_appearance
 from pepperscene.colour.comparison.bootstrap import BootstrapSums, Floats, bootstrap_weights
-from pepperscene.colour.comparison.names import printable_name
-from pepperscene.colour.comparison.scale import Scale
 from pepperscene.colour.patches.open import organ_regions
 from pepperscene.colour.patches.patch import MeasuredSpectrum, Patch, PatchSet
 from pepperscene.colour.statistics import hue_histogram, linear_srgb_to_lab, srgb_codes
@@ -30,16 +28,12 @@ from pepperscene.truth import HUE_BINS, ImageStatistics, centre_crop, grey_value
 
 OnProgress = Callable[[int, int], None]
 """Called with the number of measured images and their total."""
-
 CLASSES: Final = len(OrganClass)
 CELLS: Final = (30, 40)
 """Rows and columns of the grid in which spatial distributions are compared. Chosen: cells of 20 x 20 pixels
 of an 800 x 600 image, narrower than a fruit and wider than a wire, which a few dozen images fill."""
-
 DEFAULT_SCALE: Final = Scale()
-
 _CELLS_TOTAL: Final = CELLS[0] * CELLS[1]
-
 # Columns of the sums of a kind: hue fractions, images, pixels, linear sRGB, L*a*b* and its squares.
 HUES: Final = slice(0, HUE_BINS + 1)
 PICTURES: Final = HUE_BINS + 1
@@ -261,3 +255,11 @@ def _measure_patches(patches: PatchSet, limit: int | None) -> SetMeasures:
     for spectrum in patches.spectra:
         sums.add_spectrum(spectrum)
     return sums
+
+
+def printable_name(name: str) -> str:
+    """A name with escape sequences instead of characters that a text file, or XML, cannot hold."""
+    letters = (
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in name
+    )
+    return "".join(letters)

@@ -8,11 +8,14 @@ from typing import Final
 
 from pepperscene.colour.comparison.appearance import WHOLE, AppearanceMeasures
 from pepperscene.colour.comparison.bootstrap import Estimate
-from pepperscene.colour.comparison.missing import missing_parts
+from pepperscene.colour.comparison.measure import SetMeasures
 from pepperscene.colour.comparison.result import Comparison, KindMeasures
-from pepperscene.colour.comparison.scale_text import describe_scale
 
 UNKNOWN: Final = "-"
+_MASKS: Final = (
+    "To compare them, put a mask beside each image, such as img1.png and mask1.png, and a classes.toml that "
+    "names its values; a rendered set needs the output class"
+)
 
 
 @dataclass(frozen=True)
@@ -250,3 +253,88 @@ def _reasons(missing: Iterable[tuple[str, str]]) -> list[str]:
             names_of.setdefault(reason, []).append(name)
     lines = [f"{', '.join(dict.fromkeys(names))} ({reason})" for reason, names in names_of.items()]
     return [f"not measured: {'; '.join(lines)}"] if lines else []
+
+
+def describe_scale(side: SetMeasures) -> tuple[str, str, str]:
+    """Sizes of a set's images, their central square, and the scale of their textures."""
+    if not side.has_images:
+        return ("patches", "of the patches", "not compared")
+    if not side.centres:
+        return ("no images", "not compared", "not compared")
+    sizes = sorted(side.centres, key=lambda size: (size[0] * size[1], size))
+    return (
+        _span([f"{width} x {height}" for height, width in sizes]),
+        _describe_centre(side),
+        _describe_texture(side),
+    )
+
+
+def _describe_centre(side: SetMeasures) -> str:
+    """Side of the central square in pixels, and how much of the images or of the plants it shows."""
+    sides = sorted(side.centres.values())
+    pixels = _span([f"{length} x {length}" for length in (sides[0], sides[-1])])
+    scale = side.scale
+    if scale.centre_px is None or scale.pixel_mm is None or scale.factor is None:
+        return f"centre, {pixels} ({_area_percent(side)} of the image)"
+    length_mm = scale.centre_px * scale.pixel_mm * scale.factor
+    return f"centre, {pixels} ({length_mm:.0f} x {length_mm:.0f} mm, {_area_percent(side)} of the image)"
+
+
+def _area_percent(side: SetMeasures) -> str:
+    """Fraction of the images in the central square."""
+    fractions = sorted(
+        100.0 * centre**2 / (height * width) for (height, width), centre in side.centres.items()
+    )
+    return f"{_span([f'{fraction:.0f}' for fraction in (fractions[0], fractions[-1])])} %"
+
+
+def _describe_texture(side: SetMeasures) -> str:
+    """Scale at which saturation and texture of whole images are measured."""
+    scale = side.scale
+    if scale.factor is not None:
+        reduced = "as it is" if scale.factor == 1.0 else f"reduced to {100.0 * scale.factor:.0f} %"
+        return f"whole image, {reduced}, {scale.pixel_mm:g} mm per pixel"
+    if all(scale.width(width) is None for _, width in side.centres):
+        return "whole image, as it is"
+    return f"whole image, {scale.width_px} wide"
+
+
+def _span(texts: list[str]) -> str:
+    """The first and the last of some texts, once if they are the same."""
+    return texts[0] if texts[0] == texts[-1] else f"{texts[0]} to {texts[-1]}"
+
+
+def missing_parts(first: SetMeasures, second: SetMeasures) -> list[str]:
+    """Sentences on what is left out of the tables and figures of two sets; empty if nothing is."""
+    sides = (first, second)
+    if patches := [side.name for side in sides if not side.has_images]:
+        return [f"Only colours are compared, because {_holds(patches)} patches instead of images"]
+    sentences = []
+    if unlabelled := [side.name for side in sides if not side.statistics.labelled_count]:
+        sentences.append(
+            "Classes (their colours, fractions and places) are not compared, because "
+            f"{_holds(unlabelled)} no masks"
+        )
+        sentences.append(_MASKS)
+    if dark := [side.name for side in sides if not side.statistics.photograph_count]:
+        sentences.append(
+            "Colours, light, saturation and texture are not compared, because "
+            f"{_holds(dark)} no photographs. A rendered set needs the output colour"
+        )
+    elif narrow := [side for side in sides if not _has_textures(side)]:
+        names = " and ".join(side.name for side in narrow)
+        width = min(max(width for _, width in side.centres) for side in narrow)
+        sentences.append(
+            f"Texture is not compared, because no image of {names} is {narrow[0].scale.width_px} pixels "
+            f"wide. Choose a width of at most {width} (--width, width_px)"
+        )
+    return sentences
+
+
+def _holds(names: list[str]) -> str:
+    """Subject and verb: "a has", "a and b have"."""
+    return f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'}"
+
+
+def _has_textures(side: SetMeasures) -> bool:
+    return any(side.scale.width(width) is not None for _, width in side.centres)

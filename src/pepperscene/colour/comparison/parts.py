@@ -1,4 +1,4 @@
-"""Comparison of the kinds of organs in two sets: colours, class fractions and positions."""
+"""Comparison of two sets part by part: kinds of organs, class fractions, positions, light and appearance."""
 
 from __future__ import annotations
 
@@ -8,7 +8,12 @@ import numpy as np
 
 from pepperscene.classes import OrganClass
 from pepperscene.colour.comparison import similarity
-from pepperscene.colour.comparison.appearance import WHOLE
+from pepperscene.colour.comparison.appearance import (
+    WHOLE,
+    AppearanceMeasures,
+    measure_appearance,
+    unknown_appearance,
+)
 from pepperscene.colour.comparison.bootstrap import (
     Estimate,
     Floats,
@@ -17,16 +22,20 @@ from pepperscene.colour.comparison.bootstrap import (
     unknown_estimate,
 )
 from pepperscene.colour.comparison.measure import PIXELS, SetMeasures, Sets
-from pepperscene.colour.comparison.reasons import absence_reason, missing_reason, unlabelled_reason
-from pepperscene.colour.comparison.result import KindComparison, KindMeasures
+from pepperscene.colour.comparison.result import (
+    AppearanceComparison,
+    KindComparison,
+    KindMeasures,
+    LightComparison,
+)
 from pepperscene.colour.statistics import circular_emd, delta_e_2000
 
 _BACKGROUND: Final = OrganClass.BACKGROUND.name.lower()
 _ORDER: Final = [organ_class.name.lower() for organ_class in OrganClass]
-
 _ALL_GREY: Final = "all its pixels are grey"
 _NO_CLASS: Final = "given for classes only"
 _NO_DIRECTION: Final = "its hues have no direction"
+_KINDS: Final = (WHOLE, *(organ_class.name.lower() for organ_class in OrganClass))
 
 
 def common_kinds(sets: Sets) -> list[str]:
@@ -148,3 +157,74 @@ def correlate_class_fractions(sets: Sets) -> Estimate:
     values = np.array([similarity.class_fraction_correlation(p, q) for p, q in zip(*fractions, strict=True)])
     resampled = min(side.class_pixels.count for side in sets) > 1
     return estimate_values(values, resampled, "fewer than three classes are labelled in both sets")
+
+
+def compare_light(sets: Sets) -> LightComparison:
+    """Mean grey values, and similarities of the mean images and of their radial falloff."""
+    greys = [_mean_grey(side) for side in sets]
+    spreads = [_grey_spread(side) for side in sets]
+    if unknown := [grey for grey in greys if grey.value is None]:
+        return LightComparison(unknown[0], unknown[0], unknown[0], greys[0], greys[1], *spreads)
+    resampled = min(side.light.count for side in sets) > 1
+    images = [similarity.mean_images(side.light.totals()) for side in sets]
+    falloffs = [similarity.radial_falloffs(rows) for rows in images]
+    constant = "a mean image is constant"
+    return LightComparison(
+        similarity.estimate_pair(similarity.correlation, images, resampled, constant),
+        similarity.estimate_pair(similarity.ssim, images, resampled, constant),
+        similarity.estimate_pair(similarity.correlation, falloffs, resampled, constant),
+        greys[0],
+        greys[1],
+        *spreads,
+    )
+
+
+def _mean_grey(side: SetMeasures) -> Estimate:
+    if side.light.count:
+        return estimate_values(similarity.mean_greys(side.light.totals()), side.light.count > 1)
+    return unknown_estimate(f"no photographs in {side.name}" if side.has_images else unlabelled_reason(side))
+
+
+def _grey_spread(side: SetMeasures) -> float | None:
+    """Standard deviation of the mean grey value between images; None without photographs."""
+    return float(np.std(np.sort(side.statistics.intensities))) if side.light.count else None
+
+
+def compare_appearance(sets: Sets) -> dict[str, AppearanceComparison]:
+    """Whole images, then the classes in either set in their order; nothing for patches."""
+    seen = {kind for side in sets for kind in side.appearance}
+    kinds = [kind for kind in _KINDS if kind in seen]
+    return {kind: AppearanceComparison(*(_measure_appearance(kind, side) for side in sets)) for kind in kinds}
+
+
+def _measure_appearance(kind: str, side: SetMeasures) -> AppearanceMeasures:
+    if kind in side.appearance:
+        return measure_appearance(side.appearance[kind], side.scale, kind)
+    if not side.has_images:
+        return unknown_appearance(unlabelled_reason(side))
+    if kind == WHOLE:
+        return unknown_appearance(f"no photographs in {side.name}")
+    return unknown_appearance(missing_reason(kind, side))
+
+
+def unlabelled_reason(side: SetMeasures) -> str:
+    """Reason why a set has no classes."""
+    return f"no labels in {side.name}" if side.has_images else f"{side.name} has patches, not images"
+
+
+def absence_reason(side: SetMeasures) -> str:
+    """Reason why a class has no pixel: it was not labelled, or it does not occur."""
+    return f"not labelled in {side.name}" if side.statistics.unlabelled_pixels else f"not seen in {side.name}"
+
+
+def missing_reason(kind: str, side: SetMeasures) -> str:
+    """Reason why the colours of a kind are unknown."""
+    if not side.has_images:
+        return f"no patch of it in {side.name}"
+    if not side.statistics.photograph_count:
+        return f"no photographs in {side.name}"
+    if not side.statistics.labelled_count:
+        return f"no labels in {side.name}"
+    if "." not in kind and side.statistics.class_pixels[OrganClass[kind.upper()]]:
+        return f"not in the centre of the images of {side.name}"
+    return absence_reason(side)
