@@ -34,14 +34,14 @@ from pepperscene.bench.records import describe_machine, machine_info
 from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
-from pepperscene.tuning.model.observables import hue_vectors, lab_derivatives, observables
-from pepperscene.tuning.model.problem import FitProblem, Observation
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.model.view_model import VIEW_QUALITY, ParameterStep, ViewModel
+from pepperscene.tuning.observables import hue_vectors, lab_derivatives, observables
+from pepperscene.tuning.problem import FitProblem, Observation
 from pepperscene.tuning.simulated import simulate_patches
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.view_model import VIEW_QUALITY, ParameterStep, ViewModel
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.parameters.tuned import TunedParts
+    from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
 

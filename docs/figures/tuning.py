@@ -21,7 +21,7 @@ from PIL import Image
 from pepperscene import load_recipe
 from pepperscene.colour import Patch
 from pepperscene.tuning import TuningTarget, fit_parameters, simulate_patches, write_tuned
-from pepperscene.tuning.model.views import OrganView
+from pepperscene.tuning.views import OrganView
 
 KINDS: Final = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
 SCALE: Final = 3

@@ -43,7 +43,7 @@ def test_camera_without_photographs_is_not_metered(renderer):
 
 
 def test_colours_are_not_tuned_at_an_unknown_exposure():
-    from pepperscene.tuning.model.target import TuningTarget
+    from pepperscene.tuning.target import TuningTarget
 
     with pytest.raises(InputError, match=r"camera\.exposure_us = 'auto': must be a time"):
         TuningTarget(load_recipe("barth2018", CHANGES), None)

@@ -18,8 +18,8 @@ from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 from pepperscene.scene import load_cover
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import read_provenance, read_spectra
-from pepperscene.tuning.parameters.bounds import prior_distributions
-from pepperscene.tuning.parameters.tunables import all_parameters
+from pepperscene.tuning.bounds import prior_distributions
+from pepperscene.tuning.parameters import all_parameters
 
 MATERIALS, PLANTS, RECIPES = (shipped_folder(name) for name in ("materials", "plants", "recipes"))
 DOCS = RECIPES.parent / "docs"

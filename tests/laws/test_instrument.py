@@ -10,7 +10,7 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
 from pepperscene.render.variant import mitsuba_modules
-from pepperscene.tuning.model.reflectance import instrument_reflectance
+from pepperscene.tuning.reflectance import instrument_reflectance
 
 THIN = {"leaf": True, "fruit": False, "stem": False, "peduncle": False}
 STATES = (0.0, 0.5, 1.0)  # rows of every surface's table

@@ -20,12 +20,12 @@ from pepperscene.cultivar import Cultivar, PigmentPath, Pigments, load_cultivar
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.spectra import Spectrum, read_spectra, read_spectrum
-from pepperscene.tuning.fit.least_squares import fit_parameters
-from pepperscene.tuning.model.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.model.view_model import entries_of
-from pepperscene.tuning.parameters.parameter import select_parameters
-from pepperscene.tuning.parameters.tuned import tuned_parts
+from pepperscene.tuning.least_squares import fit_parameters
+from pepperscene.tuning.parameters import select_parameters
+from pepperscene.tuning.reflectance import CORRELATION_NM, MODEL_ERROR, DirectModel
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.tuned import tuned_parts
+from pepperscene.tuning.view_model import entries_of
 
 FRUITS, LEAVES = "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance"
 CONTENTS = ("chlorophyll", "carotenoid", "brown", "structure", "flesh")

@@ -30,7 +30,7 @@ RECORDS = {
     "learning/training/run.py",
     "render/doctor.py",
     "render/renderer.py",  # a frame's JSON
-    "tuning/output/provenance.py",
+    "tuning/report.py",
 }
 """Modules that write the version into a file or a message, or compare what was written."""
 

@@ -8,9 +8,9 @@ from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet, linear_srgb_to
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.spectra import Spectrum
-from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit, Start
-from pepperscene.tuning.parameters.parameter import select_parameters
-from pepperscene.tuning.parameters.tuned import tuned_parts
+from pepperscene.tuning.least_squares import FitResult, KindFit, SpectrumFit, Start
+from pepperscene.tuning.parameters import select_parameters
+from pepperscene.tuning.tuned import tuned_parts
 
 VALUES = {
     "leaf.chlorophyll": [48.123456789],

@@ -12,10 +12,11 @@ from pepperscene.colour import Patch, PatchSet, delta_e_2000, linear_srgb_to_lab
 from pepperscene.cultivar import Cultivar
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.fit.least_squares import FitResult, fit_parameters
-from pepperscene.tuning.model.problem import FitProblem
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
+from pepperscene.tuning.bounds import Parameter
+from pepperscene.tuning.least_squares import FitResult, fit_parameters
+from pepperscene.tuning.parameters import known_parameters, select_parameters
+from pepperscene.tuning.problem import FitProblem
+from pepperscene.tuning.target import TuningTarget
 
 KINDS = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
 """Kinds that together show every surface but the calyx."""

@@ -16,8 +16,8 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.render.gradients.pigment_models import RANGES
 from pepperscene.shipped import shipped_folder
-from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
-from pepperscene.tuning.parameters.surface import CONTENT_FIELDS
+from pepperscene.tuning.parameters import known_parameters, select_parameters
+from pepperscene.tuning.pigment_paths import CONTENT_FIELDS
 
 RECIPE = load_recipe("barth2018")
 CAMERA = load_camera(RECIPE)

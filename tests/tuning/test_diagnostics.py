@@ -12,7 +12,8 @@ import pytest
 from scipy.stats import kstest
 
 from pepperscene.cultivar import Distribution
-from pepperscene.tuning.fit.diagnostics import (
+from pepperscene.tuning.bounds import Parameter
+from pepperscene.tuning.diagnostics import (
     HIGH_CORRELATION,
     MIN_VARIANCE_REDUCTION,
     STRONG_EVIDENCE,
@@ -24,8 +25,7 @@ from pepperscene.tuning.fit.diagnostics import (
     uncertainty,
     undetermined_entries,
 )
-from pepperscene.tuning.model.problem import FitProblem
-from pepperscene.tuning.parameters.parameter import Parameter
+from pepperscene.tuning.problem import FitProblem
 
 
 def parameter(name, group="pigments", *, entries=1, default=0.0, sd=1.0, low=-10.0, high=10.0) -> Parameter:

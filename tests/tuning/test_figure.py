@@ -15,7 +15,7 @@ from PIL import Image
 from pepperscene.camera import decode_tone, encode_tone
 from pepperscene.colour import linear_srgb_to_lab
 from pepperscene.recipe.resolve.load import load_recipe
-from pepperscene.tuning.output.figure import BeforeAfter, before_after_figure, before_after_png
+from pepperscene.tuning.figure import BeforeAfter, before_after_figure, before_after_png
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from pepperscene.camera import (
 from pepperscene.colour import linear_srgb_to_lab
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.spectra import colour_science
-from pepperscene.tuning.model.observables import (
+from pepperscene.tuning.observables import (
     OBSERVABLE_COUNT,
     SensorModel,
     hue_vectors,
@@ -33,7 +33,7 @@ from pepperscene.tuning.model.observables import (
     observables_and_derivatives,
     standardised_noise,
 )
-from pepperscene.tuning.model.target import TuningTarget
+from pepperscene.tuning.target import TuningTarget
 
 SIGNIFICANCE = 1e-4
 """Of each statistical test, for all its comparisons together: a correct camera fails once in ten thousand."""

@@ -26,10 +26,10 @@ from pepperscene.materials import organ_surfaces
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.spectra import read_spectrum
-from pepperscene.tuning.fit import least_squares
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.model.views import with_surfaces
+from pepperscene.tuning import least_squares
 from pepperscene.tuning.simulated import photograph, simulate_patches
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.views import with_surfaces
 
 PIGMENTS = ("leaf.chlorophyll", "fruit.chlorophyll", "fruit.carotenoid", "stem.chlorophyll")
 LIGHT_AND_CAMERA = ("flash.colour", "exposure", "white_balance", "colour_matrix")

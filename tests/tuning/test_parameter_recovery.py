@@ -23,10 +23,10 @@ from simulated_fits import HIDDEN, KINDS, Recovery, draw_names, draw_values, rec
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
-from pepperscene.tuning.fit.diagnostics import is_consistent
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.parameters.parameter import select_parameters
+from pepperscene.tuning.diagnostics import is_consistent
+from pepperscene.tuning.parameters import select_parameters
 from pepperscene.tuning.simulated import simulate_patches
+from pepperscene.tuning.target import TuningTarget
 
 DRAWS = 20
 SIGNIFICANCE = 1e-4

@@ -11,8 +11,8 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
-from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
-from pepperscene.tuning.parameters.surface import CONTENT_FIELDS, state_distribution, visible_surfaces
+from pepperscene.tuning.parameters import known_parameters, select_parameters
+from pepperscene.tuning.pigment_paths import CONTENT_FIELDS, state_distribution, visible_surfaces
 
 RECIPE = load_recipe("barth2018")
 CAMERA = load_camera(RECIPE)

@@ -15,11 +15,11 @@ import pytest
 from simulated_fits import FEW_SAMPLES, no_patches
 
 from pepperscene.recipe.resolve.load import load_recipe
-from pepperscene.tuning.model import observables, view_model
-from pepperscene.tuning.model.observables import OBSERVABLE_COUNT, SensorModel
-from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.model.view_model import Entry, ParameterStep, ViewModel
+from pepperscene.tuning import observables, view_model
+from pepperscene.tuning.observables import OBSERVABLE_COUNT, SensorModel
+from pepperscene.tuning.problem import FitProblem, NeighbourEffect
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.view_model import Entry, ParameterStep, ViewModel
 
 NAMES = (
     "leaf.chlorophyll", "leaf.unripe.carotenoid", "leaf.anthocyanin", "leaf.structure", "leaf.state",

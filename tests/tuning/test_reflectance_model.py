@@ -13,17 +13,17 @@ from pepperscene.errors import InputError
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.spectra import Spectrum, read_spectrum
-from pepperscene.tuning.model.reflectance import (
+from pepperscene.tuning.parameters import known_parameters, select_parameters
+from pepperscene.tuning.pigment_paths import state_distribution
+from pepperscene.tuning.reflectance import (
     MODEL_ERROR,
     RANGE_NM,
     DirectModel,
     MeasuredSurface,
     surface_of_kind,
 )
-from pepperscene.tuning.model.view_model import Entry, entries_of
-from pepperscene.tuning.parameters.parameter import known_parameters, select_parameters
-from pepperscene.tuning.parameters.surface import state_distribution
-from pepperscene.tuning.parameters.tuned import tuned_parts
+from pepperscene.tuning.tuned import tuned_parts
+from pepperscene.tuning.view_model import Entry, entries_of
 
 FRUITS, LEAVES = "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance"
 MEASURED = {

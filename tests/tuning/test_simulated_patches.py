@@ -11,7 +11,7 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.tuning import TuningTarget, simulate_patches
-from pepperscene.tuning.parameters.tuned import colour_steps, tuned_camera, tuned_parts
+from pepperscene.tuning.tuned import colour_steps, tuned_camera, tuned_parts
 
 SMALL = {"organs": 1, "pixels": 16}
 KINDS = ("leaf", "pepper.unripe")

@@ -15,13 +15,13 @@ from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
-from pepperscene.tuning.parameters.surface import (
+from pepperscene.tuning.pigment_paths import (
     CONTENT_FIELDS,
     SMOOTHING_RADIUS,
     state_distribution,
     visible_surfaces,
 )
-from pepperscene.tuning.parameters.tuned import OFF_DIAGONAL, densify_cultivar, densify_path, tuned_parts
+from pepperscene.tuning.tuned import OFF_DIAGONAL, densify_cultivar, densify_path, tuned_parts
 
 CULTIVARS = ("kaite", "red_blocky", "orange_pointed", "tomato", "kaite_september", "kaite_february")
 NODES = np.linspace(400.0, 710.0, 8)

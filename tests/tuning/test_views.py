@@ -16,8 +16,8 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.model.views import POSITIONS, organ_views, with_surfaces
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.views import POSITIONS, organ_views, with_surfaces
 
 PIXELS = 24
 

@@ -19,10 +19,10 @@ from pepperscene.errors import InputError, OutputError
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
-from pepperscene.tuning.output import write as write_module
-from pepperscene.tuning.output.parts import simplify_path
-from pepperscene.tuning.output.provenance import RunInfo, format_value, format_with_sd, toml_text
-from pepperscene.tuning.output.write import write_tuned
+from pepperscene.tuning import write as write_module
+from pepperscene.tuning.part_files import simplify_path
+from pepperscene.tuning.report import RunInfo, format_value, format_with_sd, toml_text
+from pepperscene.tuning.write import write_tuned
 
 WHEN = datetime.date(2026, 1, 2)
 STATES = np.linspace(0.0, 1.0, 401)

@@ -28,7 +28,7 @@ from pepperscene.errors import InputError
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
     from pepperscene.recipe.recipe import Recipe
-    from pepperscene.tuning.parameters.parameter import Parameter
+    from pepperscene.tuning.bounds import Parameter
     from pepperscene.tuning.workflow import TuningResult
 
 
@@ -164,7 +164,7 @@ def _select_parameters(
 ) -> tuple[Parameter, ...]:
     from pepperscene.recipe.resolve.load_camera import load_camera
     from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
-    from pepperscene.tuning.parameters.parameter import select_parameters
+    from pepperscene.tuning.parameters import select_parameters
 
     return select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names, bounds)
 
@@ -174,8 +174,8 @@ def _list_parameters(recipe: Recipe, json: bool) -> None:
     from pepperscene.colour.comparison.tables import format_tables
     from pepperscene.recipe.resolve.load_camera import load_camera
     from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
-    from pepperscene.tuning.output.report import known_table
-    from pepperscene.tuning.parameters.parameter import known_parameters
+    from pepperscene.tuning.parameters import known_parameters
+    from pepperscene.tuning.report import known_table
 
     names = known_parameters(load_recipe_cultivar(recipe), load_camera(recipe))
     if json:
@@ -191,7 +191,7 @@ def _list_parameters(recipe: Recipe, json: bool) -> None:
 def _result_record(result: TuningResult) -> dict[str, Any]:
     """The record of the fit, and the files written."""
     from pepperscene.dataset.store.frame_json import read_json
-    from pepperscene.tuning.output.write import RECORD
+    from pepperscene.tuning.write import RECORD
 
     (record,) = (path for path in result.files if path.name == RECORD)
     return {**read_json(record), "files": [str(path) for path in result.files]}
@@ -199,7 +199,7 @@ def _result_record(result: TuningResult) -> dict[str, Any]:
 
 def _print_result(result: TuningResult) -> None:
     from pepperscene.colour.comparison.tables import format_tables
-    from pepperscene.tuning.output.report import fit_tables
+    from pepperscene.tuning.report import fit_tables
 
     typer.echo(format_tables(fit_tables(result.fit, result.verification)))
     typer.echo()

@@ -1,12 +1,13 @@
 """Differentiable fits of pigments, light, exposure and camera to measured colour."""
 
-from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit, fit_parameters
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.output.write import write_tuned
-from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
+from pepperscene.tuning.bounds import Parameter
+from pepperscene.tuning.least_squares import FitResult, KindFit, SpectrumFit, fit_parameters
+from pepperscene.tuning.parameters import known_parameters, select_parameters
 from pepperscene.tuning.simulated import simulate_patches
+from pepperscene.tuning.target import TuningTarget
 from pepperscene.tuning.whole_scene import Verification
 from pepperscene.tuning.workflow import TuningResult, tune
+from pepperscene.tuning.write import write_tuned
 
 __all__ = [
     "FitResult",

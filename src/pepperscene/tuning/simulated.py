@@ -20,9 +20,9 @@ from pepperscene.errors import ArgumentError
 from pepperscene.materials import organ_surfaces
 from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.model.views import ORGANS, PIXELS, OrganView, with_surfaces
-from pepperscene.tuning.parameters.tuned import tuned_camera
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.tuned import tuned_camera
+from pepperscene.tuning.views import ORGANS, PIXELS, OrganView, with_surfaces
 
 if TYPE_CHECKING:
     from pepperscene.recipe.recipe import Recipe

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
 from pepperscene.truth.statistics import hue_spectrum_correlation
-from pepperscene.tuning.fit.diagnostics import VISIBLE_DELTA_E
-from pepperscene.tuning.model.observables import observables
-from pepperscene.tuning.model.problem import FitProblem, NeighbourEffect
+from pepperscene.tuning.diagnostics import VISIBLE_DELTA_E
+from pepperscene.tuning.observables import observables
+from pepperscene.tuning.problem import FitProblem, NeighbourEffect
 
 if TYPE_CHECKING:
     from pepperscene.dataset.store.dataset import Dataset
     from pepperscene.recipe.recipe import Recipe
-    from pepperscene.tuning.model.target import TuningTarget
-    from pepperscene.tuning.parameters.tuned import TunedParts
+    from pepperscene.tuning.target import TuningTarget
+    from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet, open_patches
-from pepperscene.tuning.fit.least_squares import STARTS, FitResult, fit_parameters
-from pepperscene.tuning.model.target import TuningTarget
-from pepperscene.tuning.output.figure import BeforeAfter
-from pepperscene.tuning.output.write import check_folder, write_tuned
+from pepperscene.tuning.figure import BeforeAfter
+from pepperscene.tuning.least_squares import STARTS, FitResult, fit_parameters
+from pepperscene.tuning.target import TuningTarget
 from pepperscene.tuning.whole_scene import (
     Verification,
     colour_agreement,
@@ -24,6 +23,7 @@ from pepperscene.tuning.whole_scene import (
     neighbour_effects,
     render_statistics,
 )
+from pepperscene.tuning.write import check_folder, write_tuned
 
 if TYPE_CHECKING:
     from pepperscene.recipe.recipe import Recipe

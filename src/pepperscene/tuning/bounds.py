@@ -1,4 +1,4 @@
-"""Prior distributions and limits of parameters, from the shipped bounds file and from a user's."""
+"""A parameter of a fit, and its prior distributions and limits, from the shipped bounds file and a user's."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from pepperscene.cultivar import Distribution, Origin, Ratio
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
-from pepperscene.tuning.parameters.surface import CONTENT_FIELDS
-from pepperscene.tuning.parameters.tunables import Parameter
+from pepperscene.tuning.pigment_paths import CONTENT_FIELDS
 
+Array = NDArray[np.float64]
+Group = Literal["pigments", "cuticle", "light", "exposure", "camera"]
 SHIPPED: Final = "tuning/bounds.toml"  # in the materials folder
 _RATIO: Final[TypeAdapter[Distribution]] = TypeAdapter(Ratio)
 _KEYS: Final = ("mean", "sd", "low", "high", "uniform", "relative", *Origin.model_fields)
@@ -27,6 +29,39 @@ _MIN_MARGIN: Final = 0.1
 _MAX_SD: Final = 0.5
 """For bounds that had to be clipped: the mean keeps a tenth of the width from either end, and the sd is at
 most half of the mean's distance to the nearer end, which a truncated normal distribution can have. Chosen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parameter:
+    """One parameter of a fit, with one or more entries.
+
+    Attributes:
+        name: Such as "leaf.chlorophyll" or "flash.colour".
+        unit: Unit of its values; "" if dimensionless.
+        meaning: Short description.
+        group: Group that it belongs to.
+        default: `(k,)` values of the recipe.
+        low, high: Limits set by physics and by the file formats.
+        floor: Value that means "none": 1 for PROSPECT's N and for a refractive index, else 0.
+        labels: `(k,)` names of its entries; `("",)` for a single one.
+        prior: `(k,)` prior distributions with mean, sd and bounds; empty until it is selected for a fit.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    group: Group
+    default: Array
+    low: float = 0.0
+    high: float = np.inf
+    floor: float = 0.0
+    labels: tuple[str, ...] = ("",)
+    prior: tuple[Distribution, ...] = ()
+
+    @property
+    def entry_labels(self) -> tuple[str, ...]:
+        """`(k,)` the name of each entry, with its label if it has one: "flash.colour (warmth)"."""
+        return tuple(f"{self.name} ({label})" if label else self.name for label in self.labels)
 
 
 @dataclass(frozen=True)

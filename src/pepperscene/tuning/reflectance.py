@@ -35,11 +35,10 @@ from pepperscene.materials.leaf import gloss_lobes, mean_openness
 if TYPE_CHECKING:
     from pepperscene.colour import MeasuredSpectrum
     from pepperscene.cultivar import Cultivar, PigmentPath
-    from pepperscene.tuning.model.view_model import Entry, Values
-    from pepperscene.tuning.parameters.tuned import TunedParts
+    from pepperscene.tuning.tuned import TunedParts
+    from pepperscene.tuning.view_model import Entry, Values
 
 Array = NDArray[np.float64]
-
 SPHERE_RAD: Final = np.radians(8.0)  # angle of incidence in an integrating sphere (CIE 15, ISO 7724)
 RANGE_NM: Final = (400.0, 730.0)
 """Wavelengths that are compared. PROSPECT's pigments are known from 400 nm on. Beyond 730 nm, where the

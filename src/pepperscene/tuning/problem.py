@@ -14,16 +14,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.tuning.model.observables import OBSERVABLE_COUNT, observables, observables_and_derivatives
-from pepperscene.tuning.model.view_model import Entry, ParameterStep, Values, ViewModel, entries_of
+from pepperscene.tuning.observables import OBSERVABLE_COUNT, observables, observables_and_derivatives
+from pepperscene.tuning.view_model import Entry, ParameterStep, Values, ViewModel, entries_of
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.model.reflectance import DirectModel
-    from pepperscene.tuning.parameters.parameter import Parameter
-    from pepperscene.tuning.parameters.tuned import TunedParts
+    from pepperscene.tuning.bounds import Parameter
+    from pepperscene.tuning.reflectance import DirectModel
+    from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
-
 _MARGIN: Final = 1e-6  # chosen: fraction of a bound's width by which starts are moved off the bounds
 
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Component = tuple[float, float, float]  # weight, mean and standard deviation in a mixture
-
 CONTENT_FIELDS: Final[Mapping[str, tuple[str, str]]] = {
     "chlorophyll": ("chlorophyll_ug_cm2", "µg/cm²"),
     "carotenoid": ("carotenoid_ug_cm2", "µg/cm²"),
@@ -28,14 +27,11 @@ CONTENT_FIELDS: Final[Mapping[str, tuple[str, str]]] = {
     "structure": ("structure_n", ""),
 }
 """Parameter name of each content -> its field of `Pigments` and its unit."""
-
 PATH_ENDS: Final = {"unripe": 0, "ripe": -1}
 """Index of the knot at either end of a path; for a leaf, its palest and its darkest tissue."""
-
 SMOOTHING_RADIUS: Final = 0.04
 """Half-width of the moving average of a path, in state. Chosen: less than organs of one kind differ by (about
 0.1), so that no colour of the path is lost, and far more than any finite-difference step."""
-
 _QUANTILES, _STEM_POSITIONS = 256, 64  # samples of a distribution that varies along the stem
 
 

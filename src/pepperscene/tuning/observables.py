@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from pepperscene.camera import Sensor
 
 Array = NDArray[np.float64]
-
 OBSERVABLE_COUNT: Final = 8
 """L*, a*, b* of the mean colour; standard deviations of the pixels' L*, a*, b*; mean cosine and sine of the
 pixels' hue, whose direction is the mean hue and whose length says how much the hues agree."""
-
 _KNEE: Final = (6.0 / 29.0) ** 3
 _TOE: Final = 1.0 / (3.0 * (6.0 / 29.0) ** 2)
 _MIN_SD: Final = 1e-6

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.colour import delta_e_2000, linear_srgb_to_lab
-from pepperscene.tuning.fit.diagnostics import (
+from pepperscene.tuning.diagnostics import (
     OmittedGroup,
     chi_squared,
     describe_fit,
@@ -24,15 +24,14 @@ from pepperscene.tuning.fit.diagnostics import (
     uncertainty,
     undetermined_entries,
 )
-from pepperscene.tuning.model.problem import FitProblem
+from pepperscene.tuning.problem import FitProblem
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.model.target import TuningTarget
-    from pepperscene.tuning.parameters.parameter import Parameter
-    from pepperscene.tuning.parameters.tuned import TunedParts
+    from pepperscene.tuning.bounds import Parameter
+    from pepperscene.tuning.target import TuningTarget
+    from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
-
 STARTS: Final = 4  # chosen
 _CANDIDATES: Final = 12  # chosen: random points that are evaluated for each further start
 _EVALUATIONS: Final = 30  # chosen: maximum of a start; ten are usual

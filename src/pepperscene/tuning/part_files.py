@@ -16,12 +16,12 @@ from pepperscene.errors import InputError
 from pepperscene.materials.leaf import gloss_lobes
 from pepperscene.spectra import Spectrum, read_provenance
 from pepperscene.spectra.files import find_material
-from pepperscene.tuning.output.provenance import RunInfo, describe_colours, describe_values, toml_text
-from pepperscene.tuning.parameters.tuned import round_for_file, tuned_flash
+from pepperscene.tuning.report import RunInfo, describe_colours, describe_values, toml_text
+from pepperscene.tuning.tuned import round_for_file, tuned_flash
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
-    from pepperscene.tuning.fit.least_squares import FitResult
+    from pepperscene.tuning.least_squares import FitResult
 
 _TOLERANCE: Final = 1e-6
 """Chosen: largest change of a content when a knot is removed, relative to its range along the path."""

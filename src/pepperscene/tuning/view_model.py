@@ -19,30 +19,22 @@ from pepperscene.camera import pedestal
 from pepperscene.render.gradients.pigment_models import path_values
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.quality import Quality
-from pepperscene.tuning.model.observables import (
-    OBSERVABLE_COUNT,
-    SensorModel,
-    observables,
-    standardised_noise,
-)
-from pepperscene.tuning.model.views import OrganView
+from pepperscene.tuning.observables import OBSERVABLE_COUNT, SensorModel, observables, standardised_noise
+from pepperscene.tuning.views import OrganView
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, Distribution
-    from pepperscene.tuning.parameters.parameter import Parameter
-    from pepperscene.tuning.parameters.tuned import TunedParts
+    from pepperscene.tuning.bounds import Parameter
+    from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
-
 VIEW_QUALITY: Final = Quality(16, 16, 16, 1, target=None, denoise=False)
 """Chosen: the noise of a view's mean is then a thousandth of it; a single organ hardly lights itself."""
-
 LIGHT_GROUPS: Final = ("pigments", "cuticle", "light")  # the others change what the camera makes of it
 _STEP: Final = 1e-4
 """Finite-difference step, in prior standard deviations, from a parameter to the renderer's tables. These
 functions are smooth and in double precision, so that the error is about 1e-8 of the slope."""
-
 _NOISE_IMAGES: Final = 24  # chosen: a standard error is then known to a seventh
 
 

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.tuning.model.problem import FitProblem
-from pepperscene.tuning.model.view_model import entries_of
+from pepperscene.tuning.problem import FitProblem
+from pepperscene.tuning.view_model import entries_of
 
 if TYPE_CHECKING:
-    from pepperscene.tuning.parameters.parameter import Parameter
+    from pepperscene.tuning.bounds import Parameter
 
 Array = NDArray[np.float64]
-
 MIN_VARIANCE_REDUCTION: Final = 0.75  # chosen: below, half of the prior sd or more remains
 HIGH_CORRELATION: Final = 0.95  # chosen: above, two entries are reported as known in combination only
 MIN_EXPLAINED: Final = 0.25  # chosen: fraction of chi-squared from which a group is reported as a cause

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
 from pepperscene.recipe.camera_tables import AUTO
-from pepperscene.tuning.model.observables import observables
-from pepperscene.tuning.model.problem import NO_NEIGHBOURS, FitProblem, NeighbourEffect, Observation
-from pepperscene.tuning.model.reflectance import DirectModel
-from pepperscene.tuning.model.view_model import VIEW_QUALITY, Values, ViewModel
-from pepperscene.tuning.model.views import ORGANS, PIXELS, OrganView, organ_views
-from pepperscene.tuning.parameters.parameter import Parameter, known_parameters, select_parameters
-from pepperscene.tuning.parameters.tuned import TunedParts, densify_cultivar, tuned_parts
+from pepperscene.tuning.bounds import Parameter
+from pepperscene.tuning.observables import observables
+from pepperscene.tuning.parameters import known_parameters, select_parameters
+from pepperscene.tuning.problem import NO_NEIGHBOURS, FitProblem, NeighbourEffect, Observation
+from pepperscene.tuning.reflectance import DirectModel
+from pepperscene.tuning.tuned import TunedParts, densify_cultivar, tuned_parts
+from pepperscene.tuning.view_model import VIEW_QUALITY, Values, ViewModel
+from pepperscene.tuning.views import ORGANS, PIXELS, OrganView, organ_views
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from pepperscene.render import Quality
 
 Array = NDArray[np.float64]
-
 LAB_ERROR: Final = 0.5
 HUE_ERROR: Final = 0.05
 """Chosen: CIELAB units by which mean and spread of a colour may always differ (half of a visible difference),

@@ -16,25 +16,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.cultivar import PigmentPath, Pigments
 from pepperscene.spectra import Spectrum, illuminance
-from pepperscene.tuning.parameters.surface import state_distribution, tuned_path
+from pepperscene.tuning.pigment_paths import state_distribution, tuned_path
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, Flash
     from pepperscene.cultivar import Cultivar
 
 Array = NDArray[np.float64]
-
 STEPS: Final = 20
 """Even intervals between knots. Chosen: organs of a kind differ by twice as much, a tenth of the path."""
 _MIN_KNOT_DISTANCE: Final = 0.4 / STEPS  # from the path's own knots; a closer one would gain nothing
-
 MIDDLE_NM, WARMTH_NM, GREEN_NM = 550.0, 150.0, 50.0
 """Chosen: a warmth of 1 multiplies 700 nm by e and divides 400 nm by e, relative to the middle; between black
 bodies of 6500 K and 3000 K is a warmth of 1.4. The green is about as wide as a camera's green channel."""
-
 OFF_DIAGONAL: Final = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 """Entries of the colour matrix that are fitted."""
-
 _DIGITS: Final = 12
 """Significant digits of numbers in files. Chosen: six more than any fit determines, and few enough that the
 last one does not depend on rounding in sums."""

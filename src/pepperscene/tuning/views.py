@@ -29,16 +29,13 @@ if TYPE_CHECKING:
     from pepperscene.scene import Scene, Sky
 
 Array = NDArray[np.float64]
-
 ORGANS: Final = 3  # of each kind; chosen: a dark, a medium and a pale one
 PIXELS: Final = 48
 """Width and height of a view. Chosen: the mean of its pixels is then known to a hundredth of their spread."""
-
 POSITIONS: Final = ((0.12, 0.0, 1.0), (-0.11, 0.19, 1.2), (-0.15, -0.26, 1.4))
 """Positions of the organs, used cyclically: slopes to the right and down off the optical axis, and distance
 relative to the path's. Chosen: radii that divide the central 300 x 300 pixels of the paper's camera, where
 hues are counted, into thirds; and distances behind the nearest organs as of leaves and fruit of a plant."""
-
 _PLANTS: Final = 6  # chosen: maximum number of plants to grow until there are enough organs of every kind
 _CANDIDATES: Final = 3  # times the organs wanted: the most visible ones, among which states are chosen
 _SLENDER: Final = 1.6  # width of a view relative to the thickness of its organ

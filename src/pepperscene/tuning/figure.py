@@ -17,12 +17,12 @@ from pepperscene.camera import encode_tone
 from pepperscene.camera.image.colorimetry import D65_WHITE, XYZ_TO_SRGB
 from pepperscene.colour import ColourStatistics, linear_srgb_to_lab
 from pepperscene.spectra import colour_science
-from pepperscene.tuning.output.provenance import fitted_entries, format_value, format_with_sd
+from pepperscene.tuning.report import fitted_entries, format_value, format_with_sd
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
-    from pepperscene.tuning.fit.least_squares import FitResult, KindFit, SpectrumFit
+    from pepperscene.tuning.least_squares import FitResult, KindFit, SpectrumFit
 
 WIDTH_IN: Final = 11.5  # chosen, as all of the layout below: 1380 pixels
 DPI: Final = 120
@@ -40,7 +40,6 @@ _VISIBILITY: Final = (
 """CIEDE2000 in words. Chosen: 1 is just visible side by side, and each step is about twice as large."""
 _SWATCH: Final = (18, 72)  # rows and columns of a mean colour
 _STRIP_ROWS: Final = 8  # of pixels below it
-
 Row = tuple[float, Callable[["SubFigure"], None]]  # height in inches, and function that draws it
 
 

@@ -1,1 +1,0 @@
-"""Files and tables that describe a fit."""

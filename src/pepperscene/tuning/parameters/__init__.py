@@ -1,1 +1,0 @@
-"""Parameters of a fit: tunable values, their prior distributions, and a recipe's parts at given values."""
