@@ -42,7 +42,7 @@ from pepperscene.learning.experiments.results import ExperimentResult, collect_r
 from pepperscene.learning.experiments.runner import JobRunner
 from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
 from pepperscene.learning.experiments.sets import OUTPUTS, spread_frames
-from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.learning.options import TrainingOptions
 from pepperscene.materials import Surface
 from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 from pepperscene.review.report.data import evenly_spaced
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sets |= fewer_frames(curve or sets[FULL])
         sets |= {f"{count_images(curve):,} frames": tuple(curve)} if curve else {}
         jobs = schedule(sets, options)
-        runner = JobRunner(options.out, jobs, options.workers, options.device, print_message)
+        runner = JobRunner(options.out, jobs, jobs[0].options, print_message)
         runner.run()
         results = {name: collect(name, jobs, runner) for name in sets}
     except PepperError as error:
@@ -270,7 +270,15 @@ def schedule(sets: Mapping[str, Sequence[ImageSet]], options: argparse.Namespace
             seed,
             None,
             TrainingOptions(
-                options.model, None, options.steps, options.batch, size, options.width, seed=seed
+                options.model,
+                None,
+                options.steps,
+                options.batch,
+                size,
+                options.width,
+                seed=seed,
+                workers=options.workers,
+                device=options.device,
             ).completed(),
             tuple(parts),
             tests=(test,),

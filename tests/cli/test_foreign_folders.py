@@ -107,7 +107,11 @@ def test_benchmarks_of_other_variants_run_no_module_of_the_folder(folder, tmp_pa
 def test_settings_of_libraries_in_the_folder_are_refused(folder, rejects, name):
     """Matplotlib can start TeX, and Numba loads compiled code from a folder that its settings name."""
     (folder / name).write_text("text.usetex: True\n" if name == "matplotlibrc" else "cache_dir: here\n")
-    for arguments in (("plan", "demo", "--no-probe", "--out", "plan.png"), ("recipes",), ("check", ".")):
+    for arguments in (
+        ("build", "demo", "--dry-run", "--no-probe", "--drawing", "plan.png"),
+        ("recipes",),
+        ("check", "."),
+    ):
         rejects(f"{name}: is in the current folder, where ", *arguments)
     assert not (folder / "plan.png").exists()
     assert not (folder / "here").exists()

@@ -227,14 +227,16 @@ def cases():
         yield Case(("train", "set", "--start", "@/model.safetensors", *out), files)
     for name, content, recipe in text_files():
         files = {name: content, "r.toml": recipe.format(name)}
-        yield Case(("plan", "@/r.toml", "--no-probe"), files)
+        yield Case(("build", "@/r.toml", "--dry-run", "--no-probe"), files)
         yield Case(("build", "@/r.toml", *out), files)
     for (name, recipe), kind in itertools.product(RECIPE_FILES.items(), SPECIAL):
         file = "x" + {"calibration": ".yaml", "poses": ".csv"}.get(name, ".toml")
-        yield Case(("plan", "@/r.toml", "--no-probe"), {"r.toml": recipe.format(file)}, ((file, kind),))
+        yield Case(
+            ("build", "@/r.toml", "--dry-run", "--no-probe"), {"r.toml": recipe.format(file)}, ((file, kind),)
+        )
     for kind in SPECIAL:
         table = (("x.csv", kind),)
-        yield Case(("plan", "@/x.toml", "--no-probe"), special=(("x.toml", kind),))
+        yield Case(("build", "@/x.toml", "--dry-run", "--no-probe"), special=(("x.toml", kind),))
         yield Case(("visibility", "demo", "--out", "@/v.parquet", "--poses", "@/x.csv"), special=table)
         yield Case(("tune", "demo", "--fit", "exposure", "--patches", "@/x.csv", *out), special=table)
         bounds = ("tune", "demo", "--fit", "exposure", "--patches", "@/x.csv", "--bounds", "@/x.toml", *out)

@@ -1,4 +1,4 @@
-"""Where commands write: not into a data set; unforeseen system errors; the frames of `plan`."""
+"""Where commands write: not into a data set; unforeseen system errors; the frames of a dry run."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ def files_of(folder):
     return sorted(str(path) for path in folder.rglob("*"))
 
 
+DRY = ("build", "demo", "--dry-run", "--no-probe")
 COMMANDS = {
     "visibility": ("visibility", "demo", "--out", "{}/seen.parquet"),
-    "plan --out": ("plan", "demo", "--no-probe", "--out", "{}/plan.png"),
-    "plan --out DIR": ("plan", "demo", "--no-probe", "--out", "{}"),
-    "plan --poses": ("plan", "demo", "--no-probe", "--poses", "{}/poses.csv"),
-    "plan --poses DIR": ("plan", "demo", "--no-probe", "--poses", "{}/poses"),
+    "drawing": (*DRY, "--drawing", "{}/plan.png"),
+    "folder of the drawing": (*DRY, "--drawing", "{}"),
+    "poses": (*DRY, "--poses", "{}/poses.csv"),
+    "folder of poses": (*DRY, "--poses", "{}/poses"),
     "plant": ("plant", "kaite", "--out", "{}/plant.glb"),
     "render": ("render", "demo", "--out", "{}"),
     "render, inside": ("render", "demo", "--out", "{}/colour/one"),
@@ -69,14 +70,14 @@ def test_folders_of_all_commands_are_checked(data_set, tmp_path):
     check_can_create(tmp_path / "new")
 
 
-def test_plan_selects_frames_and_a_target_as_build_does(command):
-    result = command("plan", "demo", "--frames", "100:104", "--no-probe", "--target-error", "0.5", "--json")
+def test_a_dry_run_selects_frames_and_a_target_as_build_does(command):
+    result = command(*DRY, "--frames", "100:104", "--target-error", "0.5", "--json")
     assert result.exit_code == 0, result.output
     assert '"selected": 4' in result.stdout
-    wrong = command("plan", "demo", "--frames", "5:2", "--no-probe")
+    wrong = command(*DRY, "--frames", "5:2")
     assert wrong.exit_code == EXIT_BAD_INPUT
     assert "--frames" in wrong.stderr
-    wrong = command("plan", "demo", "--target-error", "-1", "--no-probe")
+    wrong = command(*DRY, "--target-error", "-1")
     assert wrong.exit_code == EXIT_BAD_INPUT
     assert "--target-error" in wrong.stderr
 

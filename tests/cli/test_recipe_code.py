@@ -54,9 +54,8 @@ COMMANDS = {
     "dry run": ("build", "mine.toml", "--out", "out", "--dry-run", *OUTPUTS),
     "dry run of a frame": ("build", "mine.toml", "--out", "out", "--dry-run", "--frames", "1:2", *OUTPUTS),
     "render": ("render", "mine.toml", "--out", "out", *OUTPUTS),
-    "plan": ("plan", "mine.toml", *OUTPUTS),
-    "plan with a drawing": ("plan", "mine.toml", "--out", "plan.png", *OUTPUTS),
-    "plan with poses": ("plan", "mine.toml", "--poses", "poses.txt", *OUTPUTS),
+    "drawing": ("build", "mine.toml", "--dry-run", "--drawing", "plan.png", *OUTPUTS),
+    "poses": ("build", "mine.toml", "--dry-run", "--poses", "poses.txt", *OUTPUTS),
     "visibility": ("visibility", "mine.toml", "--out", "table.parquet", "--samples", 64),
     "another recipe on it": ("render", "child.toml", "--out", "out", *OUTPUTS),
     "values of the command line": (
@@ -94,14 +93,14 @@ def test_commands_that_need_poses_refuse_code_in_one_sentence(folder, command, n
 def test_no_part_of_the_file_runs_unasked(folder, command, variant):
     path, marker = folder
     (path / "views.py").write_text(VARIANTS[variant](MARK.format(marker=str(marker))))
-    assert command("plan", "mine.toml", "--no-probe").exit_code == 0
-    assert command("plan", "mine.toml", *OUTPUTS).exit_code == 2
+    assert command("build", "mine.toml", "--dry-run", "--no-probe").exit_code == 0
+    assert command("build", "mine.toml", "--dry-run", *OUTPUTS).exit_code == 2
     assert command("render", "mine.toml", "--out", "out", *OUTPUTS).exit_code == 2
     assert not marker.exists()
 
 
-def test_a_plan_without_a_probe_needs_no_code(folder, command):
-    result = command("plan", "mine.toml", "--no-probe", "--out", "plan.png")
+def test_a_dry_run_without_a_probe_needs_no_code(folder, command):
+    result = command("build", "mine.toml", "--dry-run", "--no-probe", "--drawing", "plan.png")
     assert result.exit_code == 0, result.output
     assert not folder[1].exists()
 
@@ -113,7 +112,7 @@ def test_with_the_permission_the_code_runs_and_no_file_holds_the_permission(fold
     assert marker.exists()
     poses = [open_dataset(path / "set").metadata(index)["camera"]["pose"] for index in (0, 1)]
     assert poses[0] != poses[1]
-    assert command("plan", "mine.toml", "--allow-code", *OUTPUTS).exit_code == 0
+    assert command("build", "mine.toml", "--dry-run", "--allow-code", *OUTPUTS).exit_code == 0
     for file in (path / "set").rglob("*.json*"):
         assert "allow_code" not in file.read_text()
     free, bound = (resolve_recipe("mine.toml", allow_code=allowed) for allowed in (True, False))

@@ -162,7 +162,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(finished, tmp_path, monke
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("pepperscene.cli.experiments._message_printer", lambda: stop)
+        patch.setattr("pepperscene.cli.learning._message_printer", lambda: stop)
         result = command(*words)
     assert result.exit_code == 130
     assert "run the same command again to resume" in result.stderr

@@ -24,8 +24,8 @@ from pepperscene.learning.experiments.splits import (
     real_folds,
     split_synthetic,
 )
+from pepperscene.learning.options import TrainingOptions
 from pepperscene.learning.training import train
-from pepperscene.learning.training_options import TrainingOptions
 from pepperscene.recipe.plan import Plan
 
 QUICK = TrainingOptions("small,width=0.25", None, 2, 2, (32, 32), None, precision="float32")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,8 +22,8 @@ from pepperscene.learning.class_table import ClassTable  # noqa: E402
 from pepperscene.learning.evaluation.evaluate import evaluate  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, load_model  # noqa: E402
 from pepperscene.learning.models.trained_model import apply_model, weights_as_bytes  # noqa: E402
+from pepperscene.learning.options import TrainingOptions  # noqa: E402
 from pepperscene.learning.training.run import train  # noqa: E402
-from pepperscene.learning.training_options import TrainingOptions  # noqa: E402
 
 NEEDS_CODE = "runs only with --allow-code (in Python, allow_code=True)"
 MODULE = """
@@ -169,11 +170,11 @@ def test_python_gives_the_factory_and_the_permission(folder):
     with pytest.raises(ArgumentError, match="allow_code=True"):
         train(images, folder / "mine", options)
     assert not (folder / "marker").exists()
-    model = train(images, folder / "mine", options, allow_code=True)
+    model = train(images, folder / "mine", replace(options, allow_code=True))
     again = load_model(folder / "mine", factory="evil_net:make", allow_code=True)
     assert evaluate(again, images).to_json() == evaluate(model, images).to_json()
     assert again.model == "evil_net:make"
-    further = train(images, folder / "next", options, start=folder / "mine", allow_code=True)
+    further = train(images, folder / "next", replace(options, allow_code=True), start=folder / "mine")
     assert further.model == "evil_net:make"
 
 

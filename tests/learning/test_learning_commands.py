@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import sys
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -23,15 +21,13 @@ MASKS = random_masks(4)
 @pytest.fixture
 def command(monkeypatch):
     """Function that runs a command line; `load_model` gives a model that reads its file's name only."""
-    models = ModuleType("pepperscene.learning.models")
 
     def load_model(path, **_):
         if path.name != "model":
             raise InputError(path, "is not a trained model")
         return ReadsRed()
 
-    models.load_model = load_model
-    monkeypatch.setitem(sys.modules, "pepperscene.learning.models", models)
+    monkeypatch.setattr("pepperscene.learning.models.trained_model.load_model", load_model)
     monkeypatch.setattr("pepperscene.cli.learning.require_torch", lambda: None)
     return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
 

@@ -19,7 +19,7 @@ pytest.importorskip("safetensors", reason="the extra `learn` installs safetensor
 
 from safetensors.torch import save_file  # noqa: E402
 
-from pepperscene.learning.evaluation.segmenter import predict_classes  # noqa: E402
+from pepperscene.learning.evaluation.evaluate import predict_classes  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, large_images, load_model  # noqa: E402
 from pepperscene.learning.models.trained_model import weights_as_bytes  # noqa: E402
 

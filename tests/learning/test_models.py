@@ -18,11 +18,11 @@ from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 safetensors = pytest.importorskip("safetensors.torch", reason="the extra `learn` installs safetensors")
 
-from pepperscene.learning.model_names import MODELS, model_defaults  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, load_model  # noqa: E402
 from pepperscene.learning.models.deeplab import DeepLab  # noqa: E402
 from pepperscene.learning.models.registry import without_initial_weights  # noqa: E402
 from pepperscene.learning.models.trained_model import FORMAT, apply_model, weights_as_bytes  # noqa: E402
+from pepperscene.learning.options import MODELS, TrainingOptions  # noqa: E402
 
 FRUIT = ClassTable.parse(FRUIT_CLASSES)
 NARROW = "deeplab_vgg16,width=0.02"
@@ -249,8 +249,10 @@ def test_options_in_the_text_of_a_model():
     widths = [build_model(f"small,width={width}", 4).stem[0].out_channels for width in (0.3, 1, 2)]
     assert widths == [8, 24, 48]
     assert build_model(f"{NARROW},field=224", 4).head[1].dilation == (12, 12)
-    assert model_defaults("small,width=0.5") is MODELS["small"]
-    assert model_defaults("own_nets:half").batch == 8
+    for name in MODELS:
+        completed = TrainingOptions(f"{name},width=0.5").completed()
+        assert vars(MODELS[name]).items() <= vars(completed).items()
+    assert TrainingOptions("own_nets:half").completed().batch == 8
     assert without_initial_weights("deeplab_vgg16, weights=a.safetensors,field=224") == (
         "deeplab_vgg16,field=224"
     )

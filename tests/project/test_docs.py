@@ -309,7 +309,7 @@ def test_every_command_and_option_is_documented() -> None:
         name = command.name or command.callback.__name__
         assert f"## `pepperscene {name}" in text
         section = text.split(f"## `pepperscene {name}")[1].split("\n## ")[0]
-        options = _options(inspect.unwrap(command.callback))
+        options = _options(command.callback)
         assert options or name in ("cultivars", "doctor", "recipes")
         for option in options:
             flag = "--" + option.replace("_", "-")

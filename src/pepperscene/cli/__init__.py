@@ -4,29 +4,16 @@ Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix
 plus the number of the signal that interrupted the command.
 """
 
-from pepperscene.cli import (
-    building,
-    datasets,
-    experiments,
-    learning,
-    machine,
-    planning,
-    tasks,
-    tuning,
-    viewing,
-    viewpoints,
-)
+from pepperscene.cli import building, datasets, learning, machine, tasks, tuning, viewing, viewpoints
 from pepperscene.cli.application import app, main
 
 __all__ = [
     "app",
     "building",
     "datasets",
-    "experiments",
     "learning",
     "machine",
     "main",
-    "planning",
     "tasks",
     "tuning",
     "viewing",

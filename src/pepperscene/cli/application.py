@@ -14,6 +14,7 @@ from typing import Annotated, Final, NoReturn, ParamSpec, TypeVar
 import typer
 
 from pepperscene.cli.interrupts import Interrupted, interruptible
+from pepperscene.cli.options import expand_options
 from pepperscene.cli.progress import echo_progress
 from pepperscene.cli.streams import protect_streams
 from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError, OutputError, PepperError
@@ -56,7 +57,7 @@ _OPTIONS: Final = {
     "form": "format",
     "least_visible": "min_visibility",
     "names": "fit",
-    "picture": "out",
+    "picture": "drawing",
     "ripe_from": "ripe",
     "smallest_px": "smallest",
 }
@@ -107,6 +108,15 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
                 raise typer.Exit(EXIT_SIGNAL + number) from None
 
     return run
+
+
+def command(function: Callable[P, R]) -> Callable[P, R]:
+    """Add a command to the application: its name and help are those of the function.
+
+    Option models among its parameters become options, and errors become one line.
+    """
+    app.command()(handle_errors(expand_options(function)))
+    return function
 
 
 def _check_current_folder() -> None:

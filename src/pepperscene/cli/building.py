@@ -2,78 +2,113 @@
 
 from __future__ import annotations
 
+import json as json_text
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pepperscene.building.execution.options import BuildOptions
 from pepperscene.cli.application import (
     DEFAULTS,
-    CodeOption,
     OutputsOption,
     QualityOption,
     RecipeArgument,
-    SeedOption,
     SetOption,
-    TargetOption,
-    app,
-    handle_errors,
+    command,
     parse_outputs,
 )
 from pepperscene.cli.interrupts import raise_if_interrupted
-from pepperscene.cli.planning import describe_build, select_frames
+from pepperscene.cli.options import Only
+from pepperscene.cli.progress import echo_note
+from pepperscene.errors import ArgumentError
+from pepperscene.options import Option
+
+if TYPE_CHECKING:
+    from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 
-@app.command()
-@handle_errors
+@dataclass(frozen=True)
+class DryRun:
+    """What a build describes instead of building.
+
+    Attributes:
+        dry_run: whether it does.
+        drawing: PNG file or folder for a drawing of the camera places.
+        poses: file or folder for poses.
+        probe: whether to render a frame for the estimate.
+    """
+
+    dry_run: Annotated[
+        bool, Option("Only describe the build: frames, cameras, time, memory and disk space.")
+    ] = False
+    drawing: Annotated[
+        Path | None,
+        Option(
+            "With --dry-run: PNG file for a drawing of the camera places, or a folder for RECIPE_plan.png.",
+            "FILE",
+        ),
+    ] = None
+    poses: Annotated[
+        Path | None,
+        Option(
+            "With --dry-run: file for the poses of the selected frames: .json, .txt, .csv, or a folder.",
+            "FILE",
+        ),
+    ] = None
+    probe: Annotated[
+        bool,
+        Option("With --dry-run: render the first selected frame to estimate time, memory and disk space."),
+    ] = True
+
+    def check(self, out: Path | None) -> None:
+        """Raise `ArgumentError` for options that need others."""
+        if self.dry_run:
+            return
+        if out is None:
+            raise ArgumentError("out", "is required without --dry-run")
+        for name, value in (("drawing", self.drawing), ("poses", self.poses)):
+            if value is not None:
+                raise ArgumentError(name, "applies only with --dry-run")
+        if not self.probe:
+            raise ArgumentError("no_probe", "applies only with --dry-run")
+
+
+@command
 def build(
-    out: Annotated[Path, typer.Option(help="Folder of the data set; created if missing.")],
+    *,
+    out: Annotated[Path | None, typer.Option(help="Folder of the data set; created if missing.")] = None,
     recipe: RecipeArgument = "demo",
     frames: Annotated[
         str | None,
         typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: the recipe's."),
     ] = None,
     outputs: OutputsOption = DEFAULTS,
-    quality: QualityOption = "standard",
-    target_error: TargetOption = None,
-    seed: SeedOption = None,
+    options: BuildOptions,
     set: SetOption = None,
-    allow_code: CodeOption = False,
-    workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Processes on this machine, which share its cores. Default: one."),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that can access the folder."),
-    ] = None,
-    slurm: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML file that describes the Slurm jobs to submit.")
-    ] = None,
     json: Annotated[
         bool, typer.Option("--json", help="Report progress as JSON lines on standard output.")
     ] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run", help="Only describe the build, as `plan` does: frames, time, memory and disk space."
-        ),
-    ] = False,
+    dry: DryRun,
 ) -> None:
     """Build a data set. Finished frames are kept: run the same command again to resume a build."""
     names = parse_outputs(outputs)
+    dry.check(out)
     from pepperscene.building.execution.build import BuildProgress
     from pepperscene.building.execution.build import build as build_dataset
-    from pepperscene.building.execution.job import BuildOptions
     from pepperscene.cli.progress import progress_reporter
     from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
-    if dry_run:
-        options = BuildOptions(quality=quality, target_error=target_error, seed=seed, workers=workers)
-        selected = select_frames(recipe, set, frames, allow_code=allow_code)
-        describe_build(selected, names, options, json=json)
+    changes = parse_changes(set or ())
+    resolved = resolve_recipe(recipe, changes, allow_code=options.allow_code)
+    if dry.dry_run:
+        if frames is not None:
+            changes["plan.select"] = list(resolved.recipe.plan.select_indices(frames))
+            resolved = resolve_recipe(recipe, changes, allow_code=options.allow_code)
+        _describe_build(resolved, names, options, dry, json)
         return
-    resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=allow_code)
+    assert out is not None
     try:
         with progress_reporter(json) as reporter:
 
@@ -81,17 +116,9 @@ def build(
                 reporter.frame(progress)
                 raise_if_interrupted()
 
-            options = BuildOptions(
-                quality=quality,
-                target_error=target_error,
-                seed=seed,
-                workers=workers,
-                scheduler=scheduler,
-                slurm=slurm,
-                on_notice=reporter.notice,
-                # Frames that the user has named need no note.
-                on_start=reporter.selected if frames is None else None,
-            )
+            # Frames that the user has named need no note.
+            on_start = reporter.selected if frames is None else None
+            options = replace(options, on_notice=reporter.notice, on_start=on_start)
             result = build_dataset(resolved, out, frames, names, options, on_frame=report_frame)
     except KeyboardInterrupt as error:
         error.add_note("to resume the build, run the same command again")
@@ -101,9 +128,29 @@ def build(
     reporter.end(result, out)
 
 
-@app.command()
-@handle_errors
+def _describe_build(
+    resolved: ResolvedRecipe, outputs: tuple[str, ...], options: BuildOptions, dry: DryRun, json: bool
+) -> None:
+    """Print what a build would make and cost."""
+    from pepperscene.review.preview.preview import preview_plan
+    from pepperscene.review.preview.text import plan_lines
+
+    options = replace(options, on_notice=echo_note)
+    preview = preview_plan(resolved, outputs, options, probe=dry.probe, picture=dry.drawing, poses=dry.poses)
+    if json:
+        typer.echo(json_text.dumps(preview.to_json(), indent=2, default=str, allow_nan=False))
+        return
+    for line in plan_lines(preview.summary, preview.cost):
+        typer.echo(line)
+    for warning in preview.summary.warnings:
+        echo_note(warning)
+    for path in preview.files:
+        typer.echo(path)
+
+
+@command
 def render(
+    *,
     out: Annotated[Path, typer.Option(help="Folder of the frame; created if missing.")],
     recipe: RecipeArgument = "demo",
     frame: Annotated[
@@ -111,29 +158,23 @@ def render(
         typer.Option(metavar="N", help="Index of the frame, counted from 0. Default: the first selected."),
     ] = None,
     outputs: OutputsOption = DEFAULTS,
-    quality: QualityOption = "standard",
-    target_error: TargetOption = None,
-    seed: SeedOption = None,
+    options: Annotated[BuildOptions, Only("quality", "target_error", "seed", "allow_code")],
     set: SetOption = None,
-    allow_code: CodeOption = False,
 ) -> None:
     """Render one frame of a recipe, to preview it or to try a setting."""
     names = parse_outputs(outputs)
-    from pepperscene.building.execution.job import BuildOptions
     from pepperscene.building.execution.single_frame import render_frame
     from pepperscene.cli.progress import render_status
     from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
-    resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=allow_code)
-    options = BuildOptions(quality=quality, target_error=target_error, seed=seed)
+    resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=options.allow_code)
     with render_status() as on_stage:
         paths = render_frame(resolved, out, frame, names, options, on_stage)
     for path in paths:
         typer.echo(path)
 
 
-@app.command()
-@handle_errors
+@command
 def recipes() -> None:
     """List the shipped recipes."""
     from pepperscene.recipe.resolve.load import load_recipe
@@ -148,8 +189,7 @@ def recipes() -> None:
         typer.echo(f"{path.stem:<12} {total}{f'; {selected} selected' if selected < plan.count else ''}")
 
 
-@app.command()
-@handle_errors
+@command
 def plant(
     cultivar: Annotated[
         str, typer.Argument(help="Cultivar file, or name of a shipped cultivar (see `cultivars`).")
@@ -193,8 +233,7 @@ def plant(
         typer.echo(path)
 
 
-@app.command()
-@handle_errors
+@command
 def cultivars() -> None:
     """List the shipped cultivars."""
     from pepperscene.cultivar import load_cultivar

@@ -16,8 +16,7 @@ from pepperscene.cli.application import (
     HalfOption,
     JsonOption,
     LabelsOption,
-    app,
-    handle_errors,
+    command,
     print_ruled_table,
 )
 from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
@@ -33,8 +32,7 @@ _SET_HELP: Final = "Folder of images, or file of patches or measured reflectance
 _HEADINGS: Final = ("kind", "frame", "file", "problem")
 
 
-@app.command()
-@handle_errors
+@command
 def check(
     folder: FolderArgument,
     frames: Annotated[
@@ -95,8 +93,7 @@ def _print_table(rows: list[tuple[str, str, str, str]]) -> None:
         typer.echo("  ".join([*cells, row[3]]))
 
 
-@app.command()
-@handle_errors
+@command
 def export(
     folder: FolderArgument,
     form: Annotated[
@@ -171,8 +168,7 @@ def export(
         echo_progress(f"warning: {warning}")
 
 
-@app.command()
-@handle_errors
+@command
 def report(
     folder: FolderArgument,
     beside: Annotated[
@@ -204,8 +200,7 @@ def report(
         echo_progress(f"note: the page has no 3D view: {written.missing_scene}")
 
 
-@app.command()
-@handle_errors
+@command
 def compare(
     first: Annotated[str, typer.Argument(metavar="A", help=_SET_HELP)],
     second: Annotated[str, typer.Argument(metavar="B", help=_SET_HELP)],

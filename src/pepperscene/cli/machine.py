@@ -7,13 +7,12 @@ from typing import Annotated
 
 import typer
 
-from pepperscene.cli.application import app, handle_errors
+from pepperscene.cli.application import command
 from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 
 
-@app.command()
-@handle_errors
+@command
 def bench(
     out: Annotated[Path, typer.Option(help="Folder for tables and plots; created if missing.")],
     scene: Annotated[
@@ -76,8 +75,7 @@ def bench(
         typer.echo(path, err=True)
 
 
-@app.command()
-@handle_errors
+@command
 def doctor() -> None:
     """Check the installation: can this machine render?"""
     from pepperscene.render.doctor import diagnose

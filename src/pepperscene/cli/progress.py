@@ -7,7 +7,7 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from pepperscene.building.execution.build import BuildProgress, BuildResult
     from pepperscene.building.execution.progress_bar import ProgressBar
+    from pepperscene.learning.options import TrainingProgress
 
 _EVERY_LINE: Final = 200  # chosen: up to so many frames, each is printed
 _INTERVAL_S: Final = 5.0  # chosen: seconds between lines for more frames
@@ -29,6 +30,11 @@ _IMAGES_PER_LINE: Final = 200  # chosen: measured images between lines, some sec
 def echo_progress(text: str) -> None:
     """Print a line of progress to standard error."""
     typer.echo(text, err=True)
+
+
+def echo_note(text: str) -> None:
+    """Print something that the user should know to standard error."""
+    echo_progress(f"note: {text}")
 
 
 def echo_measured(done: int, total: int) -> None:
@@ -241,3 +247,48 @@ def _simple_bar(description: str, *, transient: bool) -> Iterator[tuple[Progress
 
     with Progress(console=Console(stderr=True), transient=transient) as bar:
         yield bar, bar.add_task(description, total=None)
+
+
+# --- training -----------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
+    """Callback for each step of a training: a bar on a terminal, a line every few seconds elsewhere.
+
+    The result of each validation is a line in both cases.
+    """
+    with _training_bar() if sys.stderr.isatty() else nullcontext() as bar:
+        throttle = Throttle()
+
+        def show(progress: TrainingProgress) -> None:
+            rate = f"{progress.images_per_s:.1f} images/s, {format_duration(progress.left_s)} left"
+            text = f"step {progress.step:,} of {progress.steps:,}: loss {progress.loss:.3f}"
+            if bar is not None:
+                bar[0].update(
+                    bar[1], completed=progress.step, total=progress.steps, description=text, rate=rate
+                )
+            if progress.mean_iou is not None:
+                text += f", mean IoU {progress.mean_iou:.3f}"
+                if bar is not None:
+                    bar[0].console.print(text, markup=False, highlight=False)
+            if bar is None and (
+                throttle.is_due(progress.step, progress.steps) or progress.mean_iou is not None
+            ):
+                echo_progress(f"{text} ({rate})")
+
+        yield show
+
+
+@contextmanager
+def _training_bar() -> Iterator[tuple[Progress, TaskID]]:
+    from rich import progress
+    from rich.console import Console
+
+    columns = (
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.TextColumn("{task.fields[rate]}"),
+    )
+    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
+        yield bar, bar.add_task("reading images", total=None, rate="")

@@ -19,8 +19,7 @@ from pepperscene.cli.application import (
     QualityOption,
     RecipeArgument,
     SetOption,
-    app,
-    handle_errors,
+    command,
 )
 from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import InputError
@@ -35,8 +34,7 @@ if TYPE_CHECKING:
 _HELP: Final = "help"
 
 
-@app.command()
-@handle_errors
+@command
 def tune(
     recipe: RecipeArgument,
     fit: Annotated[

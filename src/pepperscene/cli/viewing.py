@@ -12,15 +12,14 @@ from typing import Annotated, Final
 
 import typer
 
-from pepperscene.cli.application import FolderArgument, app, handle_errors
+from pepperscene.cli.application import FolderArgument, command
 from pepperscene.cli.progress import echo_progress, export_progress
 from pepperscene.errors import InputError, SetupError
 
 _PROGRAMS: Final = ("rerun", "browser")
 
 
-@app.command()
-@handle_errors
+@command
 def view(
     folder: FolderArgument,
     frames: Annotated[

@@ -2,24 +2,68 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pepperscene.cli.application import CodeOption, RecipeArgument, SeedOption, SetOption, app, handle_errors
+from pepperscene.cli.application import CodeOption, RecipeArgument, SeedOption, SetOption, command
 from pepperscene.cli.progress import echo_progress, image_progress
 from pepperscene.errors import ArgumentError
+from pepperscene.options import Option
 from pepperscene.truth.fruit_visibility import SAMPLES
 
 if TYPE_CHECKING:
-    from pepperscene.building.viewpoints.recipe_visibility import SceneVisibility
+    from pepperscene.building.viewpoints.recipe_visibility import SceneVisibility, ViewpointOptions
     from pepperscene.building.viewpoints.workspace import BoxWorkspace, Workspace
 
 
-@app.command()
-@handle_errors
+@dataclass(frozen=True)
+class ViewpointRequest:
+    """The poses to observe from, and what to compute, in millimetres."""
+
+    poses: Annotated[
+        Path | None,
+        Option("Observe from the poses of a file: TUM, CSV, nerfstudio or COLMAP.", "FILE"),
+    ] = None
+    random: Annotated[int | None, Option("Observe from N random positions in the workspace.", "N")] = None
+    spacing: Annotated[
+        float | None, Option("Observe from a lattice of positions in the workspace.", "MM")
+    ] = None
+    box: Annotated[
+        str | None, Option("Workspace of the camera: a box, in millimetres.", "X0,X1,Y0,Y1,Z0,Z1")
+    ] = None
+    sphere: Annotated[str | None, Option("Workspace of the camera: a ball, in millimetres.", "X,Y,Z,R")] = (
+        None
+    )
+    clearance: Annotated[float, Option("Least distance of a reachable camera from any surface.", "MM")] = 0.0
+    views: Annotated[int, Option("Find the K next best views among the reachable poses.", "K")] = 0
+    samples: Annotated[int, Option("Points on each fruit, a multiple of 64.", "N")] = SAMPLES
+    occluders: Annotated[bool, Option("List what hides each fruit.")] = True
+
+    def options(self) -> ViewpointOptions:
+        """The options in metres; raises `ArgumentError` if they do not fit each other."""
+        from pepperscene.building.viewpoints.recipe_visibility import ViewpointOptions
+
+        options = ViewpointOptions(
+            poses=self.poses,
+            random=self.random,
+            spacing_m=None if self.spacing is None else self.spacing / 1e3,
+            workspace=_workspace(self.box, self.sphere),
+            clearance_m=self.clearance / 1e3,
+            views=self.views,
+            samples=self.samples,
+            occluders=self.occluders,
+        )
+        if self.clearance and options.workspace is None:
+            raise ArgumentError("clearance", "needs a workspace: --box or --sphere")
+        return options
+
+
+@command
 def visibility(
+    *,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Parquet file of the table.")],
     recipe: RecipeArgument = "demo",
     frames: Annotated[
@@ -30,60 +74,18 @@ def visibility(
             "first one sets the scene. Default: the recipe's.",
         ),
     ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Observe from the poses of a file: TUM, CSV, nerfstudio or COLMAP."
-        ),
-    ] = None,
-    random: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Observe from N random positions in the workspace."),
-    ] = None,
-    spacing: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Observe from a lattice of positions in the workspace."),
-    ] = None,
-    box: Annotated[
-        str | None,
-        typer.Option(metavar="X0,X1,Y0,Y1,Z0,Z1", help="Workspace of the camera: a box, in millimetres."),
-    ] = None,
-    sphere: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z,R", help="Workspace of the camera: a ball, in millimetres."),
-    ] = None,
-    clearance: Annotated[
-        float, typer.Option(metavar="MM", help="Least distance of a reachable camera from any surface.")
-    ] = 0.0,
-    views: Annotated[
-        int, typer.Option(metavar="K", help="Find the K next best views among the reachable poses.")
-    ] = 0,
-    samples: Annotated[
-        int, typer.Option(metavar="N", help="Points on each fruit, a multiple of 64.")
-    ] = SAMPLES,
-    occluders: Annotated[bool, typer.Option(help="List what hides each fruit.")] = True,
+    request: ViewpointRequest,
     seed: SeedOption = None,
     set: SetOption = None,
     allow_code: CodeOption = False,
 ) -> None:
     """Compute what cameras see of each fruit, what hides it, and the next best views, without images."""
-    from pepperscene.building.viewpoints.recipe_visibility import ViewpointOptions, recipe_visibility
+    from pepperscene.building.viewpoints.recipe_visibility import recipe_visibility
     from pepperscene.building.viewpoints.table import check_table_path, write_visibility
     from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
     check_table_path(out)
-    options = ViewpointOptions(
-        poses=poses,
-        random=random,
-        spacing_m=None if spacing is None else spacing / 1e3,
-        workspace=_workspace(box, sphere),
-        clearance_m=clearance / 1e3,
-        views=views,
-        samples=samples,
-        occluders=occluders,
-    )
-    if clearance and options.workspace is None:
-        raise ArgumentError("clearance", "needs a workspace: --box or --sphere")
+    options = request.options()
     changes = parse_changes(set or ()) | ({} if seed is None else {"seed": seed})
     resolved = resolve_recipe(recipe, changes, allow_code=allow_code)
     lines: list[str] = []

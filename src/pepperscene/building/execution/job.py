@@ -13,6 +13,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from pepperscene.atomic import write_error
+from pepperscene.building.execution.options import BuildOptions as BuildOptions
 from pepperscene.building.memory import check_fits, frame_memory
 from pepperscene.building.scenes.frame_renderer import FrameRenderer, RendererFactory
 from pepperscene.building.scenes.scene_builder import SceneBuilder
@@ -35,39 +36,6 @@ from pepperscene.version import __version__
 
 _IMAGE_THREADS: Final = 4
 """Chosen: images that are written at a time; each waits for the disk for a third of its time."""
-
-
-@dataclass(frozen=True)
-class BuildOptions:
-    """Options of a build; the content of its frames is defined by the recipe.
-
-    Attributes:
-        quality: "draft", "standard" or "reference".
-        target_error: error of the traced light over the sensor's noise at which sampling stops, or None for
-            that of the quality; see `pepperscene.render.render_scene`.
-        seed: replaces the recipe's seed, unless None.
-        workers: processes on this machine, each with an equal part of the cores and one scene; None makes all
-            frames in this process, with all cores.
-        scheduler: address of a running Dask scheduler, whose workers see the output folder under the same
-            path; needs the extra `cluster`.
-        slurm: TOML file that describes the Slurm jobs to submit; needs the extra `cluster`.
-        renderer: makes the renderer of a scene; None for Mitsuba. Workers need one that can be pickled.
-        on_notice: called with a sentence for the user, such as that a worker was lost.
-        on_start: called once with the number of frames to build and that of the plan, after all arguments
-            have been checked.
-        allow_code: whether the recipe's code may run: views of the kind "function".
-    """
-
-    quality: str = "standard"
-    target_error: float | None = None
-    seed: int | None = None
-    workers: int | None = None
-    scheduler: str | None = None
-    slurm: str | Path | None = None
-    renderer: RendererFactory | None = None
-    on_notice: Callable[[str], None] | None = None
-    on_start: Callable[[int, int], None] | None = None
-    allow_code: bool = False
 
 
 @dataclass(frozen=True, eq=False)

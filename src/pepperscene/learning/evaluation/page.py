@@ -14,9 +14,8 @@ from pepperscene.atomic import canonical_json, check_can_write, write_files
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.evaluate import label_image
+from pepperscene.learning.evaluation.evaluate import Segmenter, label_image
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, Evaluation
-from pepperscene.learning.evaluation.segmenter import Segmenter
 from pepperscene.learning.page_parts import (
     class_legend,
     class_palette_of,

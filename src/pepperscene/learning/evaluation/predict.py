@@ -24,7 +24,7 @@ from pepperscene.dataset.readers.pictures import is_turned, read_photo, with_upr
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.segmenter import Segmenter, predict_classes
+from pepperscene.learning.evaluation.evaluate import Segmenter, predict_classes
 
 CLASSES_NAME: Final = "classes.json"
 FORMAT: Final = "pepperscene prediction 1"

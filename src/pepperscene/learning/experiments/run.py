@@ -17,7 +17,6 @@ from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError, OutputError, short_repr
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.experiments.options import ExperimentOptions
 from pepperscene.learning.experiments.page import experiments_page
 from pepperscene.learning.experiments.pictures import picture_rows
 from pepperscene.learning.experiments.results import ExperimentResult, collect_result, compare_results
@@ -30,9 +29,9 @@ from pepperscene.learning.experiments.sets import (
     find_sources,
     make_sets,
 )
-from pepperscene.learning.model_names import is_built_in
 from pepperscene.learning.models.registry import build_model
 from pepperscene.learning.models.trained_model import load_model
+from pepperscene.learning.options import ExperimentOptions, is_built_in
 from pepperscene.user_files import read_file
 from pepperscene.version import __version__
 
@@ -67,9 +66,6 @@ def run_experiments(
     *,
     other: str | Path | None = None,
     labels: str | None = None,
-    workers: int = 0,
-    device: str | None = None,
-    allow_code: bool = False,
     on_message: Callable[[str, bool], None] | None = None,
 ) -> ExperimentFiles:
     """Run experiments A to E of the paper, and write their results into a folder.
@@ -84,9 +80,6 @@ def run_experiments(
         options: see `ExperimentOptions`.
         other: trained model, or folder of a set, that is not related, for experiment D; None to leave it out.
         labels: meaning of the masks of folders of images without a `classes.toml`.
-        workers: processes that read images; they do not change the result.
-        device: of torch; None for a GPU if there is one.
-        allow_code: whether the code of recipes and a model `module:factory` may run.
         on_message: called with a line about what is being done, and whether it is one of many that can be
             left out.
 
@@ -97,14 +90,14 @@ def run_experiments(
     chosen, folder = (options or ExperimentOptions()).completed(), Path(out)
     show = on_message or _ignore
     check_can_write(folder, (JSON_NAME, PAGE_NAME, SETTINGS))
-    sources = find_sources(recipes, real, chosen, other, labels, allow_code=allow_code)
-    _check_model(sources, chosen, allow_code)
+    sources = find_sources(recipes, real, chosen, other, labels)
+    _check_model(sources, chosen)
     _claim_folder(folder, {"format": FORMAT, "options": chosen.as_record(), **sources.describe()})
 
     # Build, train and test what is missing.
     sets = make_sets(sources, folder, chosen, lambda text: show(text, True))
     jobs = schedule_jobs(sets, chosen, sources.other)
-    runner = JobRunner(folder, jobs, workers, device, show, allow_code=allow_code)
+    runner = JobRunner(folder, jobs, chosen.training, show)
     runner.run()
 
     # Write the results.
@@ -118,12 +111,12 @@ def run_experiments(
     return ExperimentFiles(data, page_file, content)
 
 
-def _check_model(sources: Sources, options: ExperimentOptions, allow_code: bool) -> None:
+def _check_model(sources: Sources, options: ExperimentOptions) -> None:
     """Raise `InputError` before the first frame is built if a model cannot be used.
 
     The unrelated one must know the classes, and that of the trainings may need to run code.
     """
-    model = options.training.model
+    model, allow_code = options.training.model, options.training.allow_code
     if not is_built_in(model):
         build_model(model, len(ClassTable.parse(options.classes)), allow_code=allow_code)
     if isinstance(sources.other, Path):

@@ -14,8 +14,8 @@ from pepperscene.errors import InputError
 from pepperscene.learning.evaluation.evaluate import evaluate
 from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
 from pepperscene.learning.models.trained_model import TrainedModel, load_model
+from pepperscene.learning.options import TrainingOptions, TrainingProgress
 from pepperscene.learning.training.loop import LOG_FILE
-from pepperscene.learning.training.progress import TrainingProgress
 from pepperscene.learning.training.run import train
 from pepperscene.user_files import read_file
 
@@ -30,9 +30,7 @@ class JobRunner:
     Args:
         out: the folder.
         jobs: all of them, in order.
-        workers: processes that read images.
-        device: of torch; None for a GPU if there is one.
-        allow_code: whether a model `module:factory` may be imported and called.
+        training: options that all jobs share: the device, and whether a `module:factory` may be called.
         on_message: called with a line about what is being done, and whether it is one of many that can be
             left out.
     """
@@ -41,14 +39,10 @@ class JobRunner:
         self,
         out: Path,
         jobs: Sequence[NetworkJob],
-        workers: int,
-        device: str | None,
+        training: TrainingOptions,
         on_message: Callable[[str, bool], None],
-        *,
-        allow_code: bool = False,
     ) -> None:
-        self._out, self._jobs, self._workers, self._device = out, jobs, workers, device
-        self._on_message, self._allow_code = on_message, allow_code
+        self._out, self._jobs, self._training, self._on_message = out, jobs, training, on_message
         self._images = {job.name: _count_images(job) for job in jobs}
         self._left = sum(self._images[job.name] for job in jobs if not self.is_trained(job))
 
@@ -67,8 +61,9 @@ class JobRunner:
 
     def load(self, job: NetworkJob) -> TrainedModel:
         """The network of a finished job."""
-        model = load_model(self.folder(job), factory=job.options.model, allow_code=self._allow_code)
-        return model if self._device is None else model.to(self._device)
+        model = load_model(self.folder(job), factory=job.options.model, allow_code=self._training.allow_code)
+        device = self._training.device
+        return model if device is None else model.to(device)
 
     def result(self, job: NetworkJob, test: NetworkTest) -> dict[str, Any]:
         """The evaluation of a finished test, as JSON values."""
@@ -108,9 +103,6 @@ class JobRunner:
                 validation=job.validation,
                 start=start,
                 resume=True,
-                workers=self._workers,
-                device=self._device,
-                allow_code=self._allow_code,
                 on_progress=report,
             )
         finally:

@@ -9,9 +9,8 @@ from typing import Final
 
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.experiments.options import ExperimentOptions
 from pepperscene.learning.experiments.sets import ExperimentSets
-from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.learning.options import ExperimentOptions, TrainingOptions
 
 MERGED: Final = "A_merged"
 """Key of the result of experiment A in the classes of the others."""

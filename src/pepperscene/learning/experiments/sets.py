@@ -18,13 +18,13 @@ from pepperscene.dataset.readers.open import open_images
 from pepperscene.dataset.readers.published import published_halves
 from pepperscene.dataset.readers.several import label_targets
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.learning.experiments.options import ExperimentOptions
 from pepperscene.learning.experiments.splits import (
     Split,
     has_paper_numbers,
     real_folds,
     split_synthetic,
 )
+from pepperscene.learning.options import ExperimentOptions
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.recipe import digest
 from pepperscene.recipe.resolve.load import resolve_recipe
@@ -122,18 +122,15 @@ def find_sources(
     options: ExperimentOptions,
     other: str | Path | None = None,
     labels: str | None = None,
-    *,
-    allow_code: bool = False,
 ) -> Sources:
     """Open the sets and load the recipes that the user names.
 
     Args:
         recipes: names or files of recipes, or folders of sets.
         real: folder of photographs with masks, in any layout.
-        options: number and size of the frames to build.
+        options: number and size of the frames to build, and whether the code of recipes may run.
         other: trained model or set that is not related.
         labels: meaning of the masks of folders without a `classes.toml`.
-        allow_code: whether the code of recipes may run.
 
     Raises:
         InputError: a recipe or a set is missing or not valid, or no photograph has a mask.
@@ -158,7 +155,7 @@ def find_sources(
     # Recipes share the frames evenly.
     names = [text for text in recipes if not _is_set(Path(text))]
     taken: set[str] = set()
-    loaded = [_load_recipe(text, options, len(names), taken, allow_code) for text in names]
+    loaded = [_load_recipe(text, options, len(names), taken) for text in names]
     remaining, existing = iter(loaded), iter(opened)
     synthetic = tuple(next(existing) if _is_set(Path(text)) else next(remaining) for text in recipes)
     return Sources(synthetic, labelled, unlabelled, other_source)
@@ -248,13 +245,11 @@ def _with_masks(images: ImageSet) -> tuple[ImageSet, int]:
     return images.take(labelled), len(images) - len(labelled)
 
 
-def _load_recipe(
-    name: str | Path, options: ExperimentOptions, recipes: int, taken: set[str], allow_code: bool
-) -> RecipeSource:
+def _load_recipe(name: str | Path, options: ExperimentOptions, recipes: int, taken: set[str]) -> RecipeSource:
     """Load a recipe at the size of the options, under a folder name that no other has."""
     height, width = options.size
     changes = {"camera.width": width, "camera.height": height}
-    resolved = resolve_recipe(name, changes, allow_code=allow_code)
+    resolved = resolve_recipe(name, changes, allow_code=options.training.allow_code)
     resolved.check_code()
     stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", resolved.recipe.name).strip(".") or "set"
     folder, number = stem, 1

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, FiniteFloat
 
 from pepperscene.document import Document, validate
-from pepperscene.learning.training_options import LEAST_SIDE, MOST_SIDE
+from pepperscene.learning.options import LEAST_SIDE, MOST_SIDE
 
 _Text = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
 _Count = Annotated[int, Field(strict=True, ge=0, lt=2**63)]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from pepperscene.errors import ArgumentError, PepperError
-from pepperscene.learning.model_names import MODELS
+from pepperscene.learning.options import MODELS
 from pepperscene.learning.user_callable import describe_error, import_callable
 
 if TYPE_CHECKING:

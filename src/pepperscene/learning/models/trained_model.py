@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pepperscene.atomic import write_file
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.model_names import MODELS, is_built_in
 from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.registry import build_model, without_initial_weights
+from pepperscene.learning.options import MODELS, is_built_in
 from pepperscene.learning.user_callable import user_errors
 from pepperscene.user_files import check_file
 from pepperscene.version import __version__

@@ -19,15 +19,15 @@ from pepperscene.learning.evaluation.confusion import (
     intersection_over_union,
     mean_intersection_over_union,
 )
-from pepperscene.learning.evaluation.segmenter import predict_classes
+from pepperscene.learning.evaluation.evaluate import predict_classes
+from pepperscene.learning.options import TrainingOptions
 from pepperscene.learning.tasks.frames import TaskFrames, TaskSplit, count_frames, open_task_frames
 from pepperscene.learning.tasks.predictions import PredictionFolder
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
-from pepperscene.learning.training_options import TrainingOptions
 
 if TYPE_CHECKING:
     from pepperscene.dataset.readers.image_set import ImageSet
-    from pepperscene.learning.training.progress import TrainingProgress
+    from pepperscene.learning.options import TrainingProgress
 
 SENSOR_OUTPUTS: Final = ("colour", "class")
 """Outputs that the frames of a data set must have."""
@@ -73,7 +73,6 @@ def evaluate_sensors(
     twin: int = 0,
     split: str | None = None,
     options: TrainingOptions | None = None,
-    device: str | None = None,
     on_training: OnTraining | None = None,
 ) -> TaskResult:
     """Score networks on the twin that they learned from, and on the others.
@@ -88,7 +87,6 @@ def evaluate_sensors(
         twin: number of the twin that methods learn from.
         split: as for an export, see `open_task_frames`.
         options: of the trainings; None for `TRAINING`.
-        device: of torch.
         on_training: called with the name of a baseline and its progress.
 
     Raises:
@@ -110,7 +108,7 @@ def evaluate_sensors(
     scores: list[Score] = []
     for name in names:
         assert out is not None
-        segment = _train_baseline(name, frames, twin, Path(out), options, device, on_training)
+        segment = _train_baseline(name, frames, twin, Path(out), options, on_training)
         scores += score_twins(name, segment, frames.test, twin)
     for one in folders:
         scores += score_twins(one.name, _reader(one), frames.test, twin)
@@ -178,7 +176,6 @@ def _train_baseline(
     twin: int,
     out: Path,
     options: TrainingOptions | None,
-    device: str | None,
     on_training: OnTraining | None,
 ) -> SegmentImage:
     """Train the network of a baseline, or resume its training."""
@@ -194,7 +191,6 @@ def _train_baseline(
         out / name,
         replace(options or TRAINING, augmentation=baseline.augmentation),
         resume=True,
-        device=device,
         on_progress=None if on_training is None else lambda progress: on_training(name, progress),
     )
 

@@ -20,14 +20,13 @@ from pepperscene.document import parse_json
 from pepperscene.errors import ArgumentError, InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.confusion import confusion_matrix, mean_intersection_over_union
-from pepperscene.learning.evaluation.segmenter import predict_classes
+from pepperscene.learning.evaluation.evaluate import predict_classes
 from pepperscene.learning.models.registry import build_model, without_initial_weights
 from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model
+from pepperscene.learning.options import TrainingOptions, TrainingProgress
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
 from pepperscene.learning.training.loss import SegmentationLoss, class_weights
-from pepperscene.learning.training.progress import TrainingProgress
 from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
-from pepperscene.learning.training_options import TrainingOptions
 from pepperscene.user_files import read_file
 
 LOG_FILE: Final = "training.jsonl"
@@ -48,15 +47,12 @@ class TrainingLoop:
         sets: Sequence[ImageSet],
         labels: ClassTable,
         origin: TrainedModel | None,
-        device: str | None,
         record: Mapping[str, Any],
-        *,
-        allow_code: bool = False,
     ) -> None:
         self.options, self.labels, self.record = options, labels, record
-        self.device = _find_device(device)
+        self.device = _find_device(options.device)
         classes = labels if origin is None else origin.classes
-        module = build_model(options.model, len(classes), allow_code=allow_code)
+        module = build_model(options.model, len(classes), allow_code=options.allow_code)
         if origin is not None:
             module.load_state_dict(origin.module.state_dict())
         module.to(self.device, memory_format=torch.channels_last)
@@ -74,7 +70,6 @@ class TrainingLoop:
         self,
         folder: Path,
         validation: Sequence[ImageSet],
-        workers: int,
         on_progress: Callable[[TrainingProgress], None] | None,
     ) -> None:
         """Take all steps that are left; validate and write the state at intervals."""
@@ -89,7 +84,7 @@ class TrainingLoop:
             remove_temporary_files(folder)
         _truncate_log(folder / LOG_FILE, state.step)
         start, begin, losses = state.step, time.monotonic(), []
-        for step, batch in enumerate(self._batches(state.step, workers), start=state.step + 1):
+        for step, batch in enumerate(self._batches(state.step), start=state.step + 1):
             losses.append(self._step(step, *batch))
             ends = step % options.validate == 0 or step == options.steps
             mean_iou = None
@@ -104,7 +99,7 @@ class TrainingLoop:
                 )
             losses = [] if ends else losses
 
-    def _batches(self, first: int, workers: int) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    def _batches(self, first: int) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         """Images and labels of all steps from a number on."""
         options = self.options
         assert options.steps is not None
@@ -113,7 +108,7 @@ class TrainingLoop:
             CheckedSamples(self.samples),
             batch_size=options.batch,
             sampler=range(first * options.batch, options.steps * options.batch),
-            num_workers=workers,
+            num_workers=options.workers,
             collate_fn=join_samples,
         )
         for batch in loader:

@@ -15,7 +15,6 @@ from pepperscene.atomic import check_can_create, sole_writer, visible_names, wri
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.model_names import is_built_in
 from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.trained_model import (
     FORMAT,
@@ -25,8 +24,7 @@ from pepperscene.learning.models.trained_model import (
     read_weights,
     require_torch,
 )
-from pepperscene.learning.training.progress import TrainingProgress
-from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.learning.options import TrainingOptions, TrainingProgress, is_built_in
 from pepperscene.version import __version__
 
 
@@ -38,9 +36,6 @@ def train(
     validation: ImageSet | Sequence[ImageSet] = (),
     start: TrainedModel | str | Path | None = None,
     resume: bool = False,
-    workers: int = 0,
-    device: str | None = None,
-    allow_code: bool = False,
     on_progress: Callable[[TrainingProgress], None] | None = None,
 ) -> TrainedModel:
     """Train a network, and write it into a folder.
@@ -60,9 +55,6 @@ def train(
             in which the labels are read, must be the same or mergers of them; None for its classes. If its
             network is none of this package, `options.model` is its factory.
         resume: continue the training in the folder, if there is one.
-        workers: processes that read images; 0 for this one. They do not change the result.
-        device: of torch, such as "cpu" or "cuda:0"; None for a GPU if there is one.
-        allow_code: whether a model `module:factory` may be imported and called.
         on_progress: is called after each step.
 
     Returns:
@@ -80,7 +72,7 @@ def train(
 
     chosen, folder = options or TrainingOptions(), Path(out)
     sets, validation = _as_tuple(sets), _as_tuple(validation)
-    load = partial(load_model, factory=_own_factory(chosen.model), allow_code=allow_code)
+    load = partial(load_model, factory=_own_factory(chosen.model), allow_code=chosen.allow_code)
     origin = load(start) if isinstance(start, str | Path) else start
     if origin is not None:
         # The defaults are those of the model that is adapted.
@@ -96,9 +88,9 @@ def train(
         class_weights(validation, labels, 0.0)
     with sole_writer(folder), seeded(chosen.seed):
         _check_folder(folder, resume, record)
-        training = TrainingLoop(chosen, sets, labels, origin, device, record, allow_code=allow_code)
+        training = TrainingLoop(chosen, sets, labels, origin, record)
         try:
-            training.run(folder, validation, workers, on_progress)
+            training.run(folder, validation, on_progress)
         except OSError as error:
             raise write_error(error, folder) from None
     return load(folder)

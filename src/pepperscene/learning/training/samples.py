@@ -16,7 +16,7 @@ from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, Rando
 from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
 from pepperscene.errors import InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.training_options import TrainingOptions
+from pepperscene.learning.options import TrainingOptions
 
 
 @final

@@ -1,4 +1,4 @@
-"""The command `plan`, and what `build` says about selected frames."""
+"""Dry runs of `build`, and what it says about selected frames."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ SMALL = (
     "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2", "--set",
     "row={plants_front=1, plants_back=0}", "--set", "cultivar=kaite_february",
 )  # fmt: skip
+DRY = ("build", "barth2018", "--dry-run", *SMALL)
 LABELS = ("--outputs", "class,distance")
 RANDOM = ("--set", 'views={kind="random", target="fruit", distance_mm=[200, 400]}', "--set", "plan.frames=3")
 
@@ -27,8 +28,8 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_plan_is_described_and_nothing_is_written(command, here):
-    result = command("plan", "demo", "--no-probe")
+def test_a_build_is_described_and_nothing_is_written(command, here):
+    result = command("build", "demo", "--dry-run", "--no-probe", "--out", "set")
     assert result.exit_code == 0, result.stderr
     assert result.stderr == ""
     lines = result.stdout.splitlines()
@@ -41,11 +42,12 @@ def test_a_plan_is_described_and_nothing_is_written(command, here):
     assert list(here.iterdir()) == []
 
 
-def test_a_probe_gives_time_memory_and_disk_space(command, here):
-    result = command("plan", "barth2018", *SMALL, *LABELS)
+def test_a_probe_of_the_first_named_frame_gives_time_memory_and_disk_space(command, here):
+    result = command(*DRY, *LABELS, "--frames", "1:4")
     assert result.exit_code == 0, result.stderr
-    assert result.stderr == "note: frame 0 is rendered to estimate the cost\n"
-    assert "estimate  from frame 0 (standard; class, distance), on this machine" in result.stdout
+    assert result.stderr == "note: frame 1 is rendered to estimate the cost\n"
+    assert "3 selected: 1, 2, 3" in result.stdout
+    assert "estimate  from frame 1 (standard; class, distance), on this machine" in result.stdout
     assert [line.split()[0] for line in result.stdout.splitlines()[-3:]] == ["time", "memory", "disk"]
     assert "2 x " in result.stdout.splitlines()[-3]
     assert list(here.iterdir()) == []
@@ -53,9 +55,7 @@ def test_a_probe_gives_time_memory_and_disk_space(command, here):
 
 def test_json_has_the_plan_and_the_estimate(command, here):
     varied = ("--set", "daylight.illuminance_lx={uniform=[1000, 2000], per='scene'}")
-    result = command(
-        "plan", "barth2018", *SMALL, *LABELS, *varied, "--seed", 5, "--json", "--out", "plan.png"
-    )
+    result = command(*DRY, *LABELS, *varied, "--seed", 5, "--json", "--drawing", "plan.png")
     content = json.loads(result.stdout)
     assert (content["name"], content["seed"], content["frames"]["total"]) == ("barth2018", 5, 4)
     assert content["varied"][0] == {
@@ -67,7 +67,7 @@ def test_json_has_the_plan_and_the_estimate(command, here):
 
 
 def test_the_drawing_and_the_poses_are_written(command, here):
-    result = command("plan", "barth2018", *SMALL, "--no-probe", "--out", ".", "--poses", "poses.csv")
+    result = command(*DRY, "--no-probe", "--drawing", ".", "--poses", "poses.csv")
     assert result.exit_code == 0, result.stderr
     assert result.stdout.splitlines()[-2:] == ["barth2018_plan.png", "poses.csv"]
     assert sorted(path.name for path in here.iterdir()) == ["barth2018_plan.png", "poses.csv"]
@@ -80,14 +80,13 @@ def test_the_drawing_and_the_poses_are_written(command, here):
 
 
 def test_limits_of_random_views_are_drawn_without_plants(command, here):
-    result = command("plan", "barth2018", *SMALL, *RANDOM, "--no-probe", "--out", "limits.png")
+    result = command(*DRY, *RANDOM, "--no-probe", "--drawing", "limits.png")
     assert result.exit_code == 0, result.stderr
     assert [path.name for path in here.iterdir()] == ["limits.png"]
 
 
 def test_plants_that_vary_per_frame_give_a_warning(command, here):
-    varied = ("--set", "row.spacing_mm={uniform=[150, 300], per='frame'}")
-    result = command("plan", "barth2018", *SMALL, *varied, "--no-probe")
+    result = command(*DRY, "--set", "row.spacing_mm={uniform=[150, 300], per='frame'}", "--no-probe")
     assert result.stderr == (
         "note: row.spacing_mm varies per frame, so that each frame needs plants and a scene of its own\n"
     )
@@ -97,7 +96,7 @@ def test_plants_that_vary_per_frame_give_a_warning(command, here):
 @pytest.mark.parametrize(
     ("message", "arguments"),
     [
-        ("--out: 'plan.jpg' must end in .png", ("--out", "plan.jpg")),
+        ("--drawing: 'plan.jpg' must end in .png", ("--drawing", "plan.jpg")),
         ("--poses: 'poses.xyz' must end in .json", ("--poses", "poses.xyz")),
         (
             "--poses: views of the kind random depend on the plants",
@@ -106,23 +105,33 @@ def test_plants_that_vary_per_frame_give_a_warning(command, here):
         ("--workers: must be between 1 and", ("--workers", "0")),
         ("--quality", ("--quality", "best")),
         ("--outputs", ("--outputs", "pixels")),
+        ("frames", ("--frames", "1:99")),
         ("views.pitch_deg", ("--set", "views.pitch_deg=120")),
         ("--seed", ("--seed", "-1")),
         ("camera.baseline_mm", ("--outputs", "stereo")),
-        ("is not a folder", ("--out", "pyproject/plan.png")),
+        ("is not a folder", ("--drawing", "pyproject/plan.png")),
     ],
 )
 def test_bad_input_gives_one_sentence_and_no_file(rejects, here, message, arguments):
     (here / "pyproject").write_text("a file", encoding="utf-8")
-    rejects(message, "plan", "barth2018", *SMALL, "--out", "plan.png", *arguments)
+    rejects(message, *DRY, "--drawing", "plan.png", *arguments)
     assert [path.name for path in here.iterdir()] == ["pyproject"]
+
+
+@pytest.mark.parametrize("option", ["--drawing=plan.png", "--poses=poses.csv", "--no-probe"])
+def test_options_of_a_dry_run_need_one(rejects, here, option):
+    name = option.partition("=")[0]
+    rejects(f"{name}: applies only with --dry-run", "build", "demo", "--out", "set", option)
+    rejects("--out: is required without --dry-run", "build", "demo")
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.slow
 def test_mitsuba_is_not_imported_without_a_probe(here):
+    words = ["pepperscene", "build", "barth2018", "--dry-run", "--no-probe", "--poses", "poses.json"]
     code = (
         "import sys\nfrom pepperscene.cli import main\n"
-        "sys.argv = ['pepperscene', 'plan', 'barth2018', '--no-probe', '--poses', 'poses.json']\n"
+        f"sys.argv = {words}\n"
         "try: main()\nexcept SystemExit as end: assert not end.code\n"
         "print(sorted({'mitsuba', 'drjit', 'matplotlib'} & set(sys.modules)))"
     )
@@ -143,26 +152,3 @@ def test_named_frames_whole_plans_and_json_need_no_note(command, tmp_path, argum
     result = command("build", "barth2018", "--out", tmp_path / "set", *SMALL, *LABELS, *arguments)
     assert result.exit_code == 0, result.stderr
     assert "selected" not in result.stderr + result.stdout
-
-
-def test_dry_run_of_a_build_is_its_plan(command, here):
-    arguments = ("barth2018", *SMALL, *LABELS)
-    build = command("build", *arguments, "--out", "set", "--dry-run")
-    plan = command("plan", *arguments)
-    assert build.exit_code == 0, build.stderr
-    assert build.stderr == plan.stderr
-    # All but the estimated times are equal.
-    for first, second in zip(build.stdout.splitlines(), plan.stdout.splitlines(), strict=True):
-        assert first == second or first.split()[0] == second.split()[0] == "time"
-    assert list(here.iterdir()) == []
-
-
-def test_dry_run_describes_the_named_frames(command, here):
-    result = command("build", "barth2018", *SMALL, *LABELS, "--out", "set", "--frames", "1:4", "--dry-run")
-    assert result.exit_code == 0, result.stderr
-    assert "3 selected: 1, 2, 3" in result.stdout
-    assert "estimate  from frame 1 " in result.stdout
-    wrong = command("build", "barth2018", *SMALL, "--out", "set", "--frames", "1:99", "--dry-run")
-    assert wrong.exit_code == 2
-    assert "frames" in wrong.stderr
-    assert list(here.iterdir()) == []

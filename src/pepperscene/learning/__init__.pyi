@@ -1,0 +1,10 @@
+from .class_table import FRUIT_CLASSES as FRUIT_CLASSES
+from .class_table import ClassTable as ClassTable
+from .evaluation.evaluate import Segmenter as Segmenter
+from .evaluation.evaluate import evaluate as evaluate
+from .evaluation.evaluation import Evaluation as Evaluation
+from .evaluation.page import EvaluationFiles as EvaluationFiles
+from .evaluation.page import write_evaluation as write_evaluation
+from .evaluation.predict import Predictions as Predictions
+from .evaluation.predict import predict as predict
+from .options import TrainingOptions as TrainingOptions
