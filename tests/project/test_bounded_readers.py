@@ -30,8 +30,8 @@ EXCEPTIONS = {
     ("building/memory.py", "groups.read_text()"): "of the system",
     ("building/memory.py", "(folder / name).read_text()"): "of the system, below /sys",
     (
-        "review/report/write.py",
-        "resources.files('pepperscene.review.report').joinpath(name).read_text(encoding='utf-8')",
+        "review/report/page.py",
+        "resources.files(_PACKAGE).joinpath('templates', name).read_text(encoding='utf-8')",
     ): "of this package",
     ("atomic.py", "os.open(folder, os.O_RDONLY)"): "a folder, to lock it",
     ("atomic.py", "temporary.open('rb+')"): "its own temporary file, to flush it",

@@ -291,8 +291,8 @@ def test_a_foreign_key_named_harvest_is_no_harvest(original, tmp_path):
 @pytest.fixture
 def without_charts(monkeypatch):
     """Leave out the charts of reports, which take most of the time."""
-    for chart in ("sections.line_chart", "build_section.value_chart"):
-        monkeypatch.setattr(f"pepperscene.review.report.{chart}", lambda *_args, **_kwargs: "")
+    for chart in ("line_chart", "value_chart"):
+        monkeypatch.setattr(f"pepperscene.review.report.sections.{chart}", lambda *_args, **_kwargs: "")
 
 
 def test_a_sample_of_malformed_values_raises_errors_for_users(original, tmp_path, without_charts):

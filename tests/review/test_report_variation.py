@@ -19,9 +19,9 @@ from pepperscene.recipe.variation.goodness_of_fit import as_number
 from pepperscene.recipe.variation.notation import parse_varied
 from pepperscene.recipe.variation.varied import as_json, draw_values
 from pepperscene.review.report import write_report
-from pepperscene.review.report.data import DrawnRecords, frame_records
-from pepperscene.review.report.moments import Moments
-from pepperscene.review.report.variation import variation_html
+from pepperscene.review.report.data import DrawnRecords, Moments, frame_records
+from pepperscene.review.report.page import render
+from pepperscene.review.report.variation import VARIATION_HEADS, variation_tables
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,11 @@ def summary(kind, table, frames=400, per="frame"):
     return drawn, SimpleNamespace(key="a", name="set", records=SimpleNamespace(drawn=records))
 
 
+def section_of(item):
+    tables = variation_tables([item])
+    return render("variation.html", sets=[item], variation=tables, variation_heads=VARIATION_HEADS)
+
+
 def descriptions(text):
     return re.findall("<desc[^>]*>(.*?)</desc>", text)
 
@@ -68,7 +73,7 @@ def descriptions(text):
 )
 def test_numbers_have_limits_and_a_histogram_beside_the_distribution(kind, table):
     drawn, item = summary(kind, table)
-    page = variation_html([item])
+    page = section_of(item)
     cells = rows_of(page)["x.y"]
     assert cells[0] == "frame"
     assert cells[2:6] == ["400", *(f"{value:.4g}" for value in (min(drawn), np.median(drawn), max(drawn)))]
@@ -82,27 +87,27 @@ def test_numbers_have_limits_and_a_histogram_beside_the_distribution(kind, table
 def test_a_record_without_a_logarithm_does_not_stop_the_report():
     _, item = summary("number", {"low": 20.0, "high": 2000.0, "scale": "log"}, 3)
     item.records.drawn.numbers["x.y"][0] = 0.0
-    page = variation_html([item])
+    page = section_of(item)
     assert rows_of(page)["x.y"][3] == "0"
     assert len(descriptions(page)) == 1
 
 
 def test_dates_are_dates_in_the_table():
     _, item = summary("date", {"2026-03-01": 0.5, "2026-04-01": 0.5})
-    assert "2026-03-01 50 %, 2026-04-01 50 %" in rows_of(variation_html([item]))["x.y"][1]
+    assert "2026-03-01 50 %, 2026-04-01 50 %" in rows_of(section_of(item))["x.y"][1]
 
 
 def test_few_draws_have_a_chart_but_no_p_value():
     for frames in (1, 2, 19):
         _, item = summary("number", {"mean": 10.0, "sd": 2.0}, frames)
-        page = variation_html([item])
+        page = section_of(item)
         assert rows_of(page)["x.y"][-1] == "–"
         assert len(descriptions(page)) == 1
 
 
 def test_choices_have_a_bar_for_each_outcome():
     drawn, item = summary(None, {"red": 0.75, "green": 0.25})
-    page = variation_html([item])
+    page = section_of(item)
     share = 100 * drawn.count("red") / len(drawn)
     assert f"{share:.1f}\u00a0%</td><td>75.0\u00a0%</td>" in page
     assert page.count("<rect") == 4
@@ -110,7 +115,7 @@ def test_choices_have_a_bar_for_each_outcome():
 
 def test_a_set_drawn_for_the_scene_counts_once():
     _, item = summary("number", {"mean": 10.0, "sd": 2.0}, 400, "scene")
-    assert rows_of(variation_html([item]))["x.y"][2] == "1"
+    assert rows_of(section_of(item))["x.y"][2] == "1"
 
 
 @pytest.mark.slow

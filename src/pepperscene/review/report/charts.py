@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
-
-from pepperscene.review.report.markup import Html, element
 
 # Layout in units of the SVG. Chosen: on a phone, a unit is about a pixel.
 _WIDTH, _LEFT, _RIGHT, _BOTTOM = 300, 38, 284, 46
@@ -37,6 +36,11 @@ _STYLE: Final = {
     "xtick.major.pad": 6.0,
 }
 
+_SVG: Final = Markup(
+    '<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-labelledby="{id}-t {id}-d">'
+    '<title id="{id}-t">{title}</title><desc id="{id}-d">{description}</desc>{content}</svg>'
+)
+"""Texts are escaped when they are put in."""
 
 Axis = tuple[str, Sequence[float]]
 """Label and ticks; the axis ends at the first and the last tick."""
@@ -59,7 +63,7 @@ def line_chart(
     x_axis: Axis,
     y_label: str,
     hue_strip: bool = False,
-) -> Html:
+) -> Markup:
     """Draw lines from zero upwards over a common axis; the first one is filled.
 
     Args:
@@ -93,7 +97,7 @@ def line_chart(
 
 def value_chart(
     chart_id: str, title: str, values: Sequence[tuple[str, str, NDArray[np.floating]]], unit: str
-) -> Html:
+) -> Markup:
     """Draw the distribution of values: a histogram, or a dot for each value if there are few.
 
     The values are given as key, name and `(n,)` values of each set.
@@ -128,7 +132,7 @@ def step_chart(
     series: Sequence[tuple[str, str, NDArray[np.floating]]],
     unit: str,
     y_label: str,
-) -> Html:
+) -> Markup:
     """Draw histograms over common bins.
 
     Args:
@@ -154,7 +158,7 @@ def _draw_svg(
     layout: tuple[int, int],
     x_axis: Axis,
     draw: Callable[[Any], None],
-) -> Html:
+) -> Markup:
     """An SVG element of axes whose content is drawn by `draw`."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -179,16 +183,14 @@ def _draw_svg(
     for name, colour in _COLOURS.items():
         content = content.replace(colour, f"var(--{name})")
     content = re.sub(r' style="([^"]*)"', _style_as_attributes, content.removesuffix("</svg>\n"))
-    return element(
-        "svg",
-        element("title", title, id=f"{chart_id}-t"),
-        element("desc", description, id=f"{chart_id}-d"),
+    return _SVG.format(
+        id=chart_id,
+        title=title,
+        description=description,
+        width=_WIDTH,
+        height=height,
         # Matplotlib has drawn numbers and constants only.
-        Html(" ".join(content.split())),
-        class_="chart",
-        viewBox=f"0 0 {_WIDTH} {height}",
-        role="img",
-        aria_labelledby=f"{chart_id}-t {chart_id}-d",
+        content=Markup(" ".join(content.split())),
     )
 
 

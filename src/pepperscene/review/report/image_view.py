@@ -1,4 +1,4 @@
-"""One image in a report: its panels in colours, its HTML card, and its row in the contact sheet."""
+"""One image in a report: its panels in colours, and its card."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.review.report.colours import (
     class_colours,
@@ -19,7 +19,6 @@ from pepperscene.review.report.colours import (
     png_data_uri,
 )
 from pepperscene.review.report.label_regions import packed_labels
-from pepperscene.review.report.markup import Html, element, fragment, joined
 
 TITLES: Final[Mapping[str, str]] = {
     "colour": "Colour",
@@ -34,7 +33,6 @@ TABLE_COLUMNS: Final = (
     *(f"{organ.name.lower()}, %" for organ in OrganClass),
 )
 
-_MOST_RELATIVES: Final = 12  # chosen: links below an image; some lines on a phone
 _IMAGES_LENGTH: Final = 11_500_000
 """Characters of all images of a page. Chosen: with all the rest, a page stays below 15 MB."""
 _LABELS_PART, _DISTANCE_PART = 0.5, 0.2
@@ -118,99 +116,61 @@ def image_view(image: LabelledImage, near_m: float, far_m: float, max_length: in
 
 
 @dataclass(frozen=True)
-class Relative:
-    """Another image of the same moment.
+class Picture:
+    """An image of the page that opens large on click."""
 
-    Attributes:
-        name: of the image.
-        difference: the differing twin and camera, such as "twin 1, right".
-        is_shown: whether the page shows it.
-    """
+    kind: str  # the arrow keys up and down go to the next one of the same kind
+    uri: str
+    alt: str  # description
+    width: int  # pixels
+    height: int
+    label: str = ""  # text below it
+    has_overlay: bool = False  # whether the page's script can draw labels over it
+
+
+@dataclass(frozen=True)
+class Relative:
+    """Another image of the same moment: a link, if the page shows it."""
 
     name: str
-    difference: str
-    is_shown: bool
+    difference: str  # the differing twin and camera, such as "twin 1, right"
+    card_id: str | None  # of its card in the page
 
 
-def card_html(view: ImageView, set_key: str, relatives: Sequence[Relative] = ()) -> Html:
-    """A card with the panels of an image, its class fractions as one bar, and a description.
+@dataclass(frozen=True)
+class Card:
+    """An image in the page: panels, class fractions as one bar, a description, and its row in the table."""
 
-    `relatives` that the page shows are links; the others are only named.
-    """
-    buttons = _panel_buttons(view)
-    # Two panels have the same size; of more, the first is large and the others are small below it.
-    images = joined(buttons)
-    if len(buttons) > 2:
-        images = fragment(buttons[0], element("div", *buttons[1:], class_="thumbs"))
-    elif len(buttons) == 2:
-        images = element("div", images, class_="thumbs")
-    lines = joined(element("p", line) for line in (view.location, _describe_organs(view)) if line)
-    content = (images, _class_bar(view), element("h3", view.title), lines, _links(relatives, set_key))
-    return element(
-        "article", *content, class_="card", id=card_id(view.name, set_key), data_labels=view.labels
+    id: str
+    name: str
+    title: str
+    lines: list[str]
+    pictures: list[Picture]
+    bar: list[tuple[OrganClass, float, float]] | None  # class, start and length in percent
+    relatives: Sequence[Relative]
+    labels: str | None
+    cells: list[str]  # of `TABLE_COLUMNS` without the first
+
+
+def make_card(view: ImageView, set_key: str, relatives: Sequence[Relative] = ()) -> Card:
+    """The card of an image of the set with this key."""
+    bar, left = [], 0.0
+    for organ, count in view.class_pixels.items():
+        percentage = 100 * count / view.area
+        if percentage > 0:
+            bar.append((organ, left, percentage))
+        left += percentage
+    return Card(
+        card_id(view.name, set_key),
+        view.name,
+        view.title,
+        [line for line in (view.location, _describe_organs(view)) if line],
+        _pictures(view),
+        bar if view.class_pixels else None,
+        relatives,
+        view.labels,
+        _table_cells(view),
     )
-
-
-def _links(relatives: Sequence[Relative], set_key: str) -> Html:
-    """Links to the other images of a moment, or their names; empty if there are none."""
-    if not relatives:
-        return fragment()
-    names = [
-        element("a", item.name, href=f"#{card_id(item.name, set_key)}") if item.is_shown else item.name
-        for item in relatives[:_MOST_RELATIVES]
-    ]
-    texts = [fragment(name, f" ({item.difference})") for name, item in zip(names, relatives, strict=False)]
-    more = len(relatives) - len(texts)
-    return element("p", "Same moment: ", joined(texts, ", "), f" and {more} more" if more else "")
-
-
-def table_row(view: ImageView, set_key: str) -> tuple[Html, list[str]]:
-    """Head and cells of a table row: place in the plan, camera height, error of the light, percentages.
-
-    The cells are text.
-    """
-    metadata = view.metadata
-    height, error = view.camera_height_m, metadata.get("sampling", {}).get("error_codes")
-    cells = [
-        *(str(metadata.get(key, "")) for key in ("set", "rotation", "step")),
-        "" if height is None else f"{height:.2f}",
-        "" if error is None else f"{error:.2f}",
-        *(f"{100 * count / view.area:.2f}" for count in view.class_pixels.values()),
-    ]
-    cells += [""] * (len(TABLE_COLUMNS) - 1 - len(cells))
-    return element("a", view.name, href=f"#{card_id(view.name, set_key)}"), cells
-
-
-def image_button(
-    kind: str, uri: str, alt: str, size: tuple[int, int], label: str = "", *, has_overlay: bool = False
-) -> Html:
-    """An image that opens large on click.
-
-    Args:
-        kind: of image; the arrow keys up and down go to the next one of the same kind.
-        uri: of the image.
-        alt: its description.
-        size: width and height in pixels.
-        label: text below the image.
-        has_overlay: whether the page's script can draw labels over it.
-    """
-    width, height = size
-    image = element("img", src=uri, class_=kind, data_kind=kind, alt=alt, width=width, height=height)
-    if has_overlay:
-        canvas = element("canvas", class_="overlay", aria_hidden="true")
-        image = element("span", image, canvas, class_="layers")
-    below = element("span", label) if label else ""
-    return element("button", image, below, type="button", class_="picture", aria_label=f"{alt}: open large")
-
-
-def class_colour_code(organ_class: OrganClass) -> str:
-    """The published colour of a class in CSS."""
-    return css_colour(CLASS_COLOURS[organ_class])
-
-
-def css_colour(rgb: tuple[int, int, int]) -> str:
-    """An 8-bit RGB colour in CSS."""
-    return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
 def card_id(name: str, set_key: str) -> str:
@@ -219,7 +179,20 @@ def card_id(name: str, set_key: str) -> str:
     return f"{set_key}-{''.join(codes)}"
 
 
-def _panel_buttons(view: ImageView) -> list[Html]:
+def _table_cells(view: ImageView) -> list[str]:
+    """Place in the plan, camera height, error of the light, percentages of the classes."""
+    metadata = view.metadata
+    height, error = view.camera_height_m, metadata.get("sampling", {}).get("error_codes")
+    cells = [
+        *(str(metadata.get(key, "")) for key in ("set", "rotation", "step")),
+        "" if height is None else f"{height:.2f}",
+        "" if error is None else f"{error:.2f}",
+        *(f"{100 * count / view.area:.2f}" for count in view.class_pixels.values()),
+    ]
+    return cells + [""] * (len(TABLE_COLUMNS) - 1 - len(cells))
+
+
+def _pictures(view: ImageView) -> list[Picture]:
     """The panels of an image; labels and distances first limit what is left for the photograph."""
     uris = dict.fromkeys(view.panels, _PLACEHOLDER)
     limit = view.max_length
@@ -229,30 +202,14 @@ def _panel_buttons(view: ImageView) -> list[Html]:
     if "colour" in view.panels:
         others = len(view.labels or "") + len(uris.get("distance", ""))
         uris["colour"] = jpeg_data_uri(view.panels["colour"], None if limit is None else limit - others)
-    return [_panel_button(view, key, uri) for key, uri in uris.items()]
-
-
-def _panel_button(view: ImageView, key: str, uri: str) -> Html:
-    panel = view.panels[key]
-    is_large = next(iter(view.panels)) == key and len(view.panels) != 2
-    alt = f"{TITLES[key]} of {'frame ' if view.is_frame else ''}{view.name}"
-    label = "" if is_large else _LABELS[key]
-    has_overlay = key == "colour" and view.labels is not None
-    return image_button(key, uri, alt, (panel.shape[1], panel.shape[0]), label, has_overlay=has_overlay)
-
-
-def _class_bar(view: ImageView) -> Html:
-    """The fractions of the classes as one bar."""
-    if not view.class_pixels:
-        return fragment()
-    parts, left = [], 0.0
-    for organ, percentage in ((organ, 100 * count / view.area) for organ, count in view.class_pixels.items()):
-        place = {"x": f"{left:.3f}%", "width": f"{percentage:.3f}%", "height": "100%"}
-        title = element("title", f"{organ.name.lower()} {percentage:.1f} %")
-        if percentage > 0:
-            parts.append(element("rect", title, **place, fill=class_colour_code(organ)))
-        left += percentage
-    return element("svg", *parts, class_="stack")
+    pictures = []
+    for number, (kind, uri) in enumerate(uris.items()):
+        height, width = view.panels[kind].shape[:2]
+        alt = f"{TITLES[kind]} of {'frame ' if view.is_frame else ''}{view.name}"
+        label = "" if number == 0 and len(uris) != 2 else _LABELS[kind]
+        has_overlay = kind == "colour" and view.labels is not None
+        pictures.append(Picture(kind, uri, alt, width, height, label, has_overlay))
+    return pictures
 
 
 def _describe_organs(view: ImageView) -> str:

@@ -7,6 +7,9 @@ them. Of frames of 800 x 600 pixels with 500 instances they take 40 kB, and PNG 
 
 from __future__ import annotations
 
+import base64
+import json
+import zlib
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -16,7 +19,6 @@ from numpy.typing import NDArray
 from pepperscene.classes import IGNORE_CLASS
 from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.review.report.colours import instance_colour
-from pepperscene.review.report.packed import pack
 from pepperscene.truth.keypoints import fruit_keypoints
 
 _MAX_SIZE_PX: Final = 1600
@@ -58,7 +60,7 @@ def packed_labels(image: LabelledImage, max_length: int | None = None) -> str | 
         "height": height,
         "classes": [int(code) >> 16 for code in distinct],
         "instances": numbers,
-        "colours": [colour_code(instance_colour(number)) for number in numbers],
+        "colours": [int.from_bytes(bytes(instance_colour(number)), "big") for number in numbers],
         "boxes": [
             _box(found) if number else None
             for number, found in zip(numbers, ndimage.find_objects(region + 1), strict=True)
@@ -99,7 +101,16 @@ def _keypoints(metadata: Mapping[str, Any]) -> list[list[list[float]]]:
     ]
 
 
-def colour_code(rgb: tuple[int, int, int]) -> int:
-    """An 8-bit RGB colour as 0xRRGGBB."""
-    red, green, blue = rgb
-    return red << 16 | green << 8 | blue
+def pack(value: Any) -> str:
+    """A JSON value as base64 of its zlib stream; the page's function `unpack` reads it.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
+
+
+def unpack(text: str) -> Any:
+    """The value that `pack` was given, with lists for tuples."""
+    return json.loads(zlib.decompress(base64.b64decode(text)))

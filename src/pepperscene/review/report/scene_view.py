@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.dataset.store.frame_json import DIGITS
 from pepperscene.review.report.data import evenly_spaced
 from pepperscene.review.report.image_view import card_id
-from pepperscene.review.report.label_regions import colour_code
-from pepperscene.review.report.markup import Html, element, fragment, joined
-from pepperscene.review.report.packed import pack
+from pepperscene.review.report.label_regions import pack
+from pepperscene.review.report.page import plural
 from pepperscene.review.report.recorded_scene import MissingSceneError, grow_row, recorded_recipe
-from pepperscene.review.report.sections import plural, swatch
-from pepperscene.review.report.three_js import three_js
 
 if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
@@ -33,17 +32,10 @@ _SHOWN: Final = (
     OrganClass.LEAF, OrganClass.PEPPER, OrganClass.PEDUNCLE, OrganClass.STEM, OrganClass.SHOOT,
 )  # fmt: skip
 """The classes of a simplified plant."""
-_BUTTONS: Final = (
-    ("nearer", "+", "Zoom in"),
-    ("farther", "−", "Zoom out"),
-    ("reset", "Reset", "Reset the view"),
+_LIBRARY: Final = re.compile(
+    r"<script>\s*(/\*\*\s+\* @license\s+\* Copyright [^\n]*Three\.js Authors\n.*?\*/\n[^\n]+)\n", re.DOTALL
 )
-"""Action, label and name of each button."""
-_HELP: Final = (
-    "Drag to rotate; drag with Shift or the right button to move; click into the view, then zoom with the "
-    "wheel. Point at a camera to see its frame. Keys in the view: arrows rotate, and move with Shift; "
-    "+ and - zoom, Home resets, N and P select the next and the previous camera."
-)
+"""The first script of the template starts with the licence and one line, the minified library."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +43,17 @@ class SceneView:
     """The 3D view of a page.
 
     Attributes:
-        section: of the page; empty if none was asked for.
+        note: which plants and cameras it has.
+        data: for the page's script, as of `pack`.
         library: the script three.js; empty if there is nothing to draw.
         missing: why there is no view although one was asked for; empty otherwise.
     """
 
-    section: Html
-    library: Html
+    note: str = ""
+    data: str = ""
+    library: str = ""
     missing: str = ""
-
-
-NO_SCENE: Final = SceneView(Html(), Html())
+    classes: tuple[OrganClass, ...] = _SHOWN
 
 
 def scene_view(dataset: Dataset, shown: Sequence[int]) -> SceneView:
@@ -74,14 +66,31 @@ def scene_view(dataset: Dataset, shown: Sequence[int]) -> SceneView:
         library = three_js()
         if library is None:
             raise MissingSceneError("it needs three.js r140 of trimesh 4.8.3 or later")
-        return SceneView(_section(dataset, shown), library)
+        note, data = _note_and_data(dataset, shown)
+        return SceneView(note, data, library)
     except MissingSceneError as error:
-        text = fragment("There is no 3D view: ", str(error), ".")
-        section = element("section", element("h2", "Scene"), element("p", text, class_="note"), id="scene")
-        return SceneView(section, Html(), str(error))
+        return SceneView(missing=str(error))
 
 
-def _section(dataset: Dataset, shown: Sequence[int]) -> Html:
+def three_js() -> Markup | None:
+    """The library with its licence notice (MIT), as a script that defines `THREE`.
+
+    None if the installed trimesh does not contain it: versions before 4.8.3 have one of 2020 without its
+    licence notice.
+    """
+    try:
+        from trimesh.resources import get_bytes
+        from trimesh.util import decompress
+
+        (template,) = decompress(get_bytes("templates/viewer.zip"), file_type="zip").values()
+        page = template.read().decode("utf-8")
+    except (ImportError, OSError, KeyError, ValueError):
+        return None
+    found = _LIBRARY.search(page)
+    return None if found is None else Markup(found[1])
+
+
+def _note_and_data(dataset: Dataset, shown: Sequence[int]) -> tuple[str, str]:
     resolved = recorded_recipe(dataset.info)
     plan = resolved.recipe.plan
     if shown[0] >= plan.count:
@@ -95,22 +104,9 @@ def _section(dataset: Dataset, shown: Sequence[int]) -> Html:
     number = plural(plants, "plant") if plants == total else f"the {plants} nearest of {total} plants"
     note = (
         f"Set {spec.set}, rotation {spec.rotation}: {number}, simplified, and the cameras of "
-        f"{plural(len(cameras), 'frame')}. {_HELP}"
+        f"{plural(len(cameras), 'frame')}."
     )
-    buttons = [
-        element("button", label, type="button", data_action=action, aria_label=name)
-        for action, label, name in _BUTTONS
-    ]
-    return element(
-        "section",
-        element("h2", "Scene"),
-        element("p", note, class_="note"),
-        element("p", joined(map(_class_switch, _SHOWN)), class_="legend organs"),
-        element("canvas", tabindex=0, role="application", aria_label="3D view of plants and cameras"),
-        element("p", *buttons, element("span", aria_live="polite", class_="status"), class_="views"),
-        id="scene",
-        data_scene=pack({"organs": organs, "cameras": cameras}),
-    )
+    return note, pack({"organs": organs, "cameras": cameras})
 
 
 def camera_entry(metadata: Mapping[str, Any], shown: Collection[int]) -> dict[str, Any]:
@@ -185,15 +181,3 @@ def organ_triangles(
 def _whole(points: NDArray[np.float64]) -> NDArray[np.int64]:
     """Metres in whole millimetres."""
     return np.rint(_PER_METRE * points).astype(np.int64)
-
-
-def _class_switch(organ: OrganClass) -> Html:
-    box = element(
-        "input",
-        type="checkbox",
-        name="organ",
-        value=int(organ),
-        data_colour=colour_code(CLASS_COLOURS[organ]),
-        checked="",
-    )
-    return element("label", box, swatch(organ), organ.name.lower())

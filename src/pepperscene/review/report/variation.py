@@ -1,10 +1,10 @@
-"""The section "Variation": the distributions in the recipe, and the values that were drawn."""
+"""The section on variation: the distributions in the recipe, and the values that were drawn."""
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,8 @@ from pepperscene.recipe.variation.goodness_of_fit import distinct_draws, goodnes
 from pepperscene.recipe.variation.varied import Varied, VariedChoice, VariedInTurn, VariedNumber
 from pepperscene.review.report.charts import step_chart
 from pepperscene.review.report.data import DrawnRecords, SetSummary
-from pepperscene.review.report.markup import Html, element, fragment
-from pepperscene.review.report.sections import format_percent, fraction_bars, html_table, panel, set_label
 
-_HEADS: Final = ("Value", "per", "distribution", "draws", "minimum", "median", "maximum", "p")
+VARIATION_HEADS: Final = ("Value", "per", "distribution", "draws", "minimum", "median", "maximum", "p")
 _BINS: Final = 24  # chosen: as of the other charts
 _FEWEST_BINS: Final = 4  # chosen: fewer show no shape
 _MOST_BARS: Final = 20  # chosen: outcomes in a panel
@@ -24,49 +22,28 @@ _MARGIN: Final = 0.01  # chosen: half the width of a constant's bin, over the co
 _UNKNOWN: Final = "–"
 
 
-def variation_html(sets: Sequence[SetSummary]) -> Html:
-    """The section; empty if no set has varied values or twins."""
-    known = [(item, item.records.drawn) for item in sets if item.records and item.records.drawn is not None]
-    if not known:
-        return fragment()
-    note = (
-        "Values that differ between frames, over all frames. A value counts once for each set of plants, "
-        "scene or moment that it is drawn for. p is the probability that correct draws fit their "
-        "distribution as badly as these; it is unknown for values in turn, constants and few draws."
-    )
-    contents = [_set_html(item, drawn, named=len(sets) > 1) for item, drawn in known]
-    return element(
-        "section",
-        element("h2", "Variation"),
-        element("p", note, class_="note"),
-        *contents,
-        id="variation",
-    )
+def variation_tables(sets: Sequence[SetSummary]) -> list[dict[str, Any]]:
+    """The table and the charts of each data set that has varied values or twins."""
+    return [
+        _set_tables(item, item.records.drawn)
+        for item in sets
+        if item.records is not None and item.records.drawn is not None
+    ]
 
 
-def variation_link(section: Html) -> Html:
-    """The link to a section in the page's navigation; empty for an empty section."""
-    return element("a", "Variation", href="#variation") if section else fragment()
-
-
-def _set_html(item: SetSummary, drawn: DrawnRecords, *, named: bool) -> Html:
-    """The table and the charts of one data set."""
+def _set_tables(item: SetSummary, drawn: DrawnRecords) -> dict[str, Any]:
     rows, panels = [], []
     for number, varied in enumerate(drawn.variation):
         draws = distinct_draws(varied, drawn.plan, drawn.indices, drawn.numbers[varied.name])
         rows.append((varied.name, _cells(varied, draws)))
-        if len(draws):
-            panels.append(_chart(f"varied-{item.key}{number}", varied, draws))
+        if len(draws) and isinstance(varied, VariedNumber):
+            chart = _histogram(f"varied-{item.key}{number}", varied, draws)
+            panels.append({"name": varied.name, "chart": chart})
+        elif len(draws):
+            panels.append({"name": varied.name, "chart": None, **_bars(varied, draws)})
     for name, values in drawn.twins.items():
-        cells = ["twin", ", ".join(map(str, values)), *[_UNKNOWN] * 5]
-        rows.append((name, cells))
-    table = html_table("drawn", _HEADS, rows)
-    label = f"Variation of {item.name}"
-    return fragment(
-        element("h3", set_label(item)) if named else fragment(),
-        element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label),
-        element("div", *panels, class_="grid"),
-    )
+        rows.append((name, ["twin", ", ".join(map(str, values)), *[_UNKNOWN] * 5]))
+    return {"set": item, "rows": rows, "panels": panels}
 
 
 def _cells(varied: Varied, draws: NDArray[np.float64]) -> list[str]:
@@ -83,18 +60,7 @@ def _text(varied: VariedNumber, value: float) -> str:
     return str(datetime.date.fromordinal(round(value))) if varied.kind == "date" else f"{value:.4g}"
 
 
-def _chart(chart_id: str, varied: Varied, draws: NDArray[np.float64]) -> Html:
-    if isinstance(varied, VariedNumber):
-        return panel(varied.name, _histogram(chart_id, varied, draws), _legend())
-    return panel(varied.name, _bars(varied, draws), _legend())
-
-
-def _legend() -> Html:
-    keys = element("span", "drawn", class_="key a"), " ", element("span", "expected", class_="key b")
-    return element("p", *keys)
-
-
-def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) -> Html:
+def _histogram(chart_id: str, varied: VariedNumber, draws: NDArray[np.float64]) -> str:
     """Percentage of the draws in each bin, and that of the distribution."""
     scale, unit = (np.log10, "logarithm to base 10") if varied.logarithmic else (np.asarray, "value")
     offset = 0.0
@@ -132,20 +98,17 @@ def _bin_edges(varied: VariedNumber, draws: NDArray[np.float64]) -> NDArray[np.f
     return edges if varied.kind == "number" else np.unique(np.round(edges - low)) + low
 
 
-def _bars(varied: Varied, draws: NDArray[np.float64]) -> Html:
-    """A table of outcomes with their percentages, and a bar for each."""
+def _bars(varied: Varied, draws: NDArray[np.float64]) -> dict[str, Any]:
+    """Outcomes with the drawn and the expected fraction of each."""
     if isinstance(varied, VariedChoice):
         outcomes, expected = varied.outcomes, np.array(varied.probabilities)
     else:
         assert isinstance(varied, VariedInTurn)
         outcomes, expected = varied.values, np.full(len(varied.values), 1.0 / len(varied.values))
     drawn = np.bincount(draws.astype(np.int64), minlength=len(outcomes)) / len(draws)
-    scale = float(max(drawn.max(), expected.max()))
-    rows = []
-    for outcome, share, expected_share in list(zip(outcomes, drawn, expected, strict=True))[:_MOST_BARS]:
-        bars = fraction_bars([("a", float(share)), ("b", float(expected_share))], scale)
-        cells = [format_percent(float(share), 1), format_percent(float(expected_share), 1), bars]
-        rows.append((str(outcome), cells))
-    table = html_table("small", ("", "drawn", "expected", ""), rows)
-    more = len(outcomes) - len(rows)
-    return fragment(table, element("p", f"and {more} more") if more else "")
+    pairs = zip(drawn.tolist(), expected.tolist(), strict=True)
+    return {
+        "bars": list(zip(map(str, outcomes), pairs, strict=True))[:_MOST_BARS],
+        "scale": float(max(drawn.max(), expected.max())),
+        "more": max(len(outcomes) - _MOST_BARS, 0),
+    }

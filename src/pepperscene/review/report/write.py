@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-from string import Template
 from typing import Any, Final
 
 from pepperscene.atomic import atomic_write
+from pepperscene.classes import IGNORE_COLOUR
 from pepperscene.dataset.readers import RenderedSet, open_images
 from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
 from pepperscene.dataset.store.crop import crop_name, cultivar_names
@@ -19,39 +18,38 @@ from pepperscene.dataset.store.frame_json import DIGITS
 from pepperscene.errors import InputError, OutputError
 from pepperscene.recipe.plan import Plan
 from pepperscene.review.report import sections
-from pepperscene.review.report.build_section import build_html
-from pepperscene.review.report.colours import VIRIDIS
 from pepperscene.review.report.contact_sheet import MAX_ROWS, SheetRow, contact_sheet, sheet_row
 from pepperscene.review.report.data import (
+    Moments,
     OnProgress,
     SetSummary,
+    displayed_positions,
     distance_range,
     evenly_spaced,
     frame_records,
     image_statistics,
 )
-from pepperscene.review.report.facts import facts_html
 from pepperscene.review.report.image_view import (
     TABLE_COLUMNS,
     Relative,
-    card_html,
+    card_id,
     image_view,
+    make_card,
     max_image_length,
-    table_row,
 )
-from pepperscene.review.report.markup import Html, as_html, csp_hash, element, fragment, joined
-from pepperscene.review.report.moments import Moments, displayed_positions
-from pepperscene.review.report.scene_view import NO_SCENE, SceneView, scene_view
-from pepperscene.review.report.switches import switches_html
-from pepperscene.review.report.variation import variation_html, variation_link
+from pepperscene.review.report.page import page_script, page_style, render
+from pepperscene.review.report.scene_view import SceneView, scene_view
+from pepperscene.review.report.variation import VARIATION_HEADS, variation_tables
 
 PAGE, SHEET = "index.html", "contact_sheet.png"
 
-_OVERLAY_NOTE: Final = (
-    " The switches below draw labels over the photographs; each has a key. Of the keypoints of fruit, a "
-    "square is the cut point, a triangle the end at the stalk, and a disc the blossom end; hidden ones are "
-    "hollow."
+_SWITCHES: Final = (
+    ("class-masks", "Class masks", "c"),
+    ("instance-masks", "Instance masks", "i"),
+    ("boxes", "Boxes", "b"),
+    ("keypoints", "Keypoints", "k"),
 )
+"""Id, label and key of each switch that draws labels over photographs."""
 
 DEFAULT_LIMIT: Final = 12
 """Chosen: three or four rows of cards on a wide screen."""
@@ -128,9 +126,7 @@ def write_report(
         summary, rows = _summarize(key, images, displayed, sample, (near, far), max_length, on_progress)
         sets.append(summary)
         sheet_rows.append(rows)
-    view = (
-        scene_view(dataset, [first_set.items[position] for position in positions[0]]) if scene else NO_SCENE
-    )
+    view = scene_view(dataset, [first_set.items[position] for position in positions[0]]) if scene else None
     text = _page_html(info, sets, (near, far) if known else None, view)
     page, sheet = dataset.folder / PAGE, dataset.folder / SHEET
     try:
@@ -142,9 +138,8 @@ def write_report(
     except OSError as error:
         raise OutputError(f"{folder}: the report cannot be written ({error.strerror or error})") from None
     first = sets[0]
-    return ReportFiles(
-        page, sheet, len(first.cards), first.statistics.image_count, first.frames, view.missing
-    )
+    missing = "" if view is None else view.missing
+    return ReportFiles(page, sheet, len(first.cards), first.statistics.image_count, first.frames, missing)
 
 
 def _summarize(
@@ -158,7 +153,7 @@ def _summarize(
 ) -> tuple[SetSummary, list[SheetRow]]:
     """Summary of a set, and rows of the contact sheet; one image is in memory at a time."""
     sheet_positions = {positions[number] for number in evenly_spaced(len(positions), MAX_ROWS)}
-    cards, table_rows, sheet_rows, has_labels = [], [], [], False
+    cards, sheet_rows = [], []
     moments = Moments.of_images(images)
     names = images.names()
     displayed = {names[position] for position in positions}
@@ -166,18 +161,16 @@ def _summarize(
         view = image_view(_visible_image(images, position), *distances_m, max_length)
         relatives = [] if moments is None else moments.relatives(position)
         named = [(f"{index:0{DIGITS}d}", difference) for index, difference in relatives]
-        links = [Relative(name, difference, name in displayed) for name, difference in named]
-        cards.append(card_html(view, key, links))
-        table_rows.append(table_row(view, key))
-        has_labels = has_labels or view.labels is not None
+        links = [
+            Relative(name, difference, card_id(name, key) if name in displayed else None)
+            for name, difference in named
+        ]
+        cards.append(make_card(view, key, links))
         if key == "a" and position in sheet_positions:
             sheet_rows.append(sheet_row(view))
     records = frame_records(images.dataset) if isinstance(images, RenderedSet) else None
     statistics = image_statistics(images, sample, on_progress)
-    summary = SetSummary(
-        key, images.name, len(images), statistics, records, tuple(cards), tuple(table_rows), has_labels
-    )
-    return summary, sheet_rows
+    return SetSummary(key, images.name, len(images), statistics, records, tuple(cards)), sheet_rows
 
 
 def _visible_image(images: ImageSet, position: int) -> LabelledImage:
@@ -193,78 +186,41 @@ def _page_html(
     info: Mapping[str, Any],
     sets: Sequence[SetSummary],
     distances_m: tuple[float, float] | None,
-    scene: SceneView,
+    scene: SceneView | None,
 ) -> str:
     """The page as HTML; `distances_m` are those of the brightest and the darkest colour."""
     recipe, cultivars = info["recipe"], cultivar_names(info)
-    total = Plan.model_validate(recipe["plan"]).count
-    summary: list[str] = [f"{sets[0].frames:,} of {total:,} planned frames exist."]
-    summary += [
-        fragment("Compared with ", sections.set_label(item), f", {sections.plural(item.frames, 'image')}.")
-        for item in sets[1:]
-    ]
-    measured_sets = []
-    for item in sets:
-        count = item.statistics.image_count
-        number = f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
-        measured_sets.append(fragment(f"{number} images of ", sections.set_label(item)))
-    ramp = fragment()
-    if distances_m is not None:
-        near, far = (element("span", f"{distance:.2f} m") for distance in distances_m)
-        ramp = element("p", near, element("i", class_="back"), far, class_="ramp")
-    variation = variation_html(sets)
-    has_labels, ignored = any(item.has_labels for item in sets), has_ignored_pixels(info)
-    # The policy allows exactly this style and these scripts.
-    style = Template(_read_resource("page.css")).substitute(ramp=", ".join(VIRIDIS))
-    files = ["overlays.js", "page.js", *(["scene.js"] if scene.library else [])]
-    script = Html("\n".join(map(_read_resource, files)))
-    scripts = [scene.library, script] if scene.library else [script]
-    contents: dict[str, str] = {
-        "style": Html(style),
-        "style_hash": csp_hash(style),
-        "scripts": joined(element("script", text) for text in scripts),
-        "script_hashes": joined(map(csp_hash, scripts), " "),
-        "name": str(recipe["name"]),
-        "crop": crop_name(info),
-        "cultivar": f"cultivar{'s' if len(cultivars) > 1 else ''} {', '.join(cultivars)}",
-        "summary": joined(summary, " "),
-        "facts": facts_html(info),
-        "overlay_note": _OVERLAY_NOTE if has_labels else "",
-        "classes": (switches_html if has_labels else sections.legend_html)(ignored=ignored),
-        "scene": scene.section,
-        "scene_link": element("a", "Scene", href="#scene") if scene.section else "",
-        "distances": ramp,
-        "frames": joined(_frames_html(item, single=len(sets) == 1) for item in sets),
-        "fractions": sections.class_fractions_html(sets),
-        "measured": fragment("Measured in ", joined(measured_sets, " and "), "."),
-        "maps": sections.class_maps_html(sets),
-        "hues": sections.hue_spectra_html(sets),
-        "intensity": sections.intensity_html(sets),
-        "variation": variation,
-        "variation_link": variation_link(variation),
-        "build": build_html(sets),
-    }
-    page = Template(_read_resource("page.html"))
-    return page.substitute({name: as_html(content) for name, content in contents.items()})
-
-
-def _read_resource(name: str) -> str:
-    return resources.files("pepperscene.review.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _frames_html(item: SetSummary, single: bool) -> Html:
-    """The displayed images of a set as cards, and as a table."""
-    count = f"{len(item.cards):,} of {item.frames:,}" if len(item.cards) < item.frames else f"{item.frames:,}"
-    title = fragment() if single else element("h3", sections.set_label(item))
-    table = sections.html_table("frames", TABLE_COLUMNS, item.table_rows)
-    label = f"Images of {item.name}"
-    return fragment(
-        title,
-        element("p", f"{count} shown."),
-        element("div", *item.cards, class_="cards"),
-        element(
-            "details",
-            element("summary", "As a table" if single else f"As a table: {item.name}"),
-            element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label),
-        ),
+    has_scene = scene is not None and scene.library
+    script = page_script(["overlays.js", "page.js", *(["scene.js"] if has_scene else [])])
+    return render(
+        "page.html",
+        # The page's security policy allows exactly this style and these scripts.
+        style=page_style(),
+        scripts=[scene.library, script] if scene is not None and has_scene else [script],
+        name=str(recipe["name"]),
+        crop=crop_name(info),
+        cultivar=f"cultivar{'s' if len(cultivars) > 1 else ''} {', '.join(cultivars)}",
+        planned=Plan.model_validate(recipe["plan"]).count,
+        facts=sections.recipe_facts(info),
+        sets=sets,
+        has_labels=any(card.labels is not None for item in sets for card in item.cards),
+        switches=_SWITCHES,
+        ignored=has_ignored_pixels(info),
+        ignore_colour=IGNORE_COLOUR,
+        distances_m=distances_m,
+        card_heads=TABLE_COLUMNS,
+        scene=scene,
+        fractions=sections.class_fractions(sets),
+        measured=[(item, _measured_images(item)) for item in sets],
+        maps=sections.class_maps(sets),
+        hues=sections.hue_spectra(sets),
+        intensity=sections.intensity(sets),
+        variation=variation_tables(sets),
+        variation_heads=VARIATION_HEADS,
+        build=sections.build_figures(sets),
     )
+
+
+def _measured_images(item: SetSummary) -> str:
+    count = item.statistics.image_count
+    return f"all {count:,}" if count == item.frames else f"{count:,} evenly spaced of {item.frames:,}"
