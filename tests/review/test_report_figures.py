@@ -31,8 +31,9 @@ XLINK = "{http://www.w3.org/1999/xlink}href"
 def parse(text):
     """The chart as elements, which must be well formed."""
     assert "nan" not in text
+    # `Markup.replace` would escape what is put in.
     return ElementTree.fromstring(
-        text.replace("<svg ", '<svg xmlns:xlink="http://www.w3.org/1999/xlink" ', 1)
+        str.replace(text, "<svg ", '<svg xmlns:xlink="http://www.w3.org/1999/xlink" ', 1)
     )
 
 
