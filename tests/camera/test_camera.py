@@ -11,7 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pepperscene.camera import Camera, Distortion, load_flash, load_lens, load_sensor, look_at
+from pepperscene.camera import (
+    Camera,
+    Distortion,
+    FisheyeDistortion,
+    Motion,
+    load_flash,
+    load_lens,
+    load_sensor,
+    look_at,
+)
+from pepperscene.camera.metadata import CameraMetadata
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
 
@@ -158,7 +168,7 @@ def test_at_pose_changes_only_the_pose():
 def test_metadata_is_json_and_describes_the_geometry():
     lens = load_lens("lensagon_cmfa0420nd_typical_distortion")
     lens = replace(lens, principal_offset_m=(9e-6, -18e-6))
-    metadata = json.loads(json.dumps(Camera(lens, SENSOR, POSE, flash=FLASH, focus_m=0.4).metadata()))
+    metadata = json.loads(json.dumps(Camera(lens, SENSOR, POSE, flash=FLASH, focus_m=0.4).to_metadata()))
     assert (metadata["width"], metadata["height"], metadata["exposure_s"]) == (800, 600, 50e-6)
     np.testing.assert_array_equal(metadata["pose"], POSE)
     assert Distortion(**metadata["distortion"]) == lens.distortion
@@ -167,9 +177,35 @@ def test_metadata_is_json_and_describes_the_geometry():
     assert (metadata["focus_m"], metadata["vignetting"]) == (0.4, True)
     assert (metadata["bits"], metadata["gain"]) == (10, 1.0)
     assert {metadata["lens"], metadata["sensor"]} == {lens.name, SENSOR.name}
-    plain = Camera(PINHOLE, SENSOR).metadata()
+    plain = Camera(PINHOLE, SENSOR).to_metadata()
     assert plain["focus_m"] is None
     assert plain["vignetting"] is False
+
+
+@pytest.mark.parametrize(
+    ("sensor", "distortion"),
+    [
+        (replace(COARSE, line_time_s=2e-5), Distortion(-0.107, 0.043, 0.001, -0.0005, k4=0.01)),
+        (COARSE, FisheyeDistortion(k1=0.01)),
+        (load_sensor("generic_line_scanner_vnir").with_size(64, 20), Distortion()),
+    ],
+    ids=["rolling shutter", "fisheye", "line scanner"],
+)
+def test_metadata_give_the_geometry_back(sensor, distortion):
+    lens = replace(PINHOLE, distortion=distortion, principal_offset_m=(9e-6, -18e-6), fy_over_fx=1.01)
+    motion = Motion(np.array([0.2, 0.05, 0.0]), np.array([0.1, -0.3, 0.2]))
+    camera = Camera(lens, sensor, POSE, motion=motion)
+    content = json.loads(json.dumps(camera.to_metadata()))
+    recorded = Camera.from_metadata(content)
+    assert CameraMetadata.model_validate(content).width == camera.width == recorded.width
+    assert recorded.to_metadata()["motion"] == content["motion"]
+    points = (
+        POSE[:3, 3]
+        + (np.random.default_rng(5).uniform((-0.3, -0.3, 0.7), (0.3, 0.3, 1.3), (50, 3))) @ POSE[:3, :3].T
+    )
+    np.testing.assert_allclose(recorded.project(points), camera.project(points), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(recorded.pixel_directions(), camera.pixel_directions(), atol=1e-12)
+    np.testing.assert_array_equal(recorded.label_poses([0.0, 7.5]), camera.label_poses([0.0, 7.5]))
 
 
 @pytest.mark.parametrize(

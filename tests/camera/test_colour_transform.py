@@ -158,7 +158,7 @@ def test_sequences_become_tuples_of_floats(form):
     assert developing == Developing(white_balance=GAINS, colour_matrix=MATRIX)
     assert hash(developing) == hash(Developing(white_balance=GAINS, colour_matrix=MATRIX))
     assert replace(developing, tone="linear").white_balance == GAINS
-    metadata = Camera(LENS, SENSOR, developing=developing).metadata()
+    metadata = Camera(LENS, SENSOR, developing=developing).to_metadata()
     # And back from a frame's JSON.
     assert Developing(**json.loads(json.dumps(metadata, allow_nan=False))["developing"]) == developing
 

@@ -167,7 +167,7 @@ def check_camera(camera):
     points = np.array([[0.0, 0.0, 1.0], [0.01, -0.02, 3.0], [0.0, 0.0, 1e-3], [5.0, 5.0, 0.1]])
     projected = camera.project(points)
     check_finite(camera.intrinsics, camera.aperture_radius_m, camera.flash_duty, projected[0])
-    json.dumps(camera.metadata(), allow_nan=False)
+    json.dumps(camera.to_metadata(), allow_nan=False)
     if camera.flash is not None:
         check_flash(camera.flash)
     if camera.width * camera.height * camera.sensor.binning**2 > LARGEST_IMAGE:

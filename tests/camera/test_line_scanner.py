@@ -88,7 +88,7 @@ def test_lines_are_exposed_one_after_the_other():
 
 
 def test_metadata_say_what_it_is():
-    described = scanner().metadata()
+    described = scanner().to_metadata()
     assert described["line_scan"] is True
     assert described["line_time_s"] == 0.01
     assert len(described["bands"]) == 224

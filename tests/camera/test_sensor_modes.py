@@ -193,11 +193,11 @@ def test_raw_frames_have_all_photosites():
     raw = raw_frame(electrons, Camera(LENS, mode, flash=FLASH, developing=NOISELESS))
     assert raw.shape == mode.site_shape == (16, 24)
     np.testing.assert_array_equal(raw, np.rint(800 / mode.gain_e_per_dn + mode.black_level_dn))
-    metadata = Camera(LENS, mode).metadata()
+    metadata = Camera(LENS, mode).to_metadata()
     assert (metadata["reduction"], metadata["site_shape"], metadata["binning"]) == (1.5, [16, 24], 1)
 
 
 def test_metadata_of_other_modes_have_no_further_keys():
-    assert not {"reduction", "site_shape", "line_time_s"} & Camera(LENS, BAYER).metadata().keys()
+    assert not {"reduction", "site_shape", "line_time_s"} & Camera(LENS, BAYER).to_metadata().keys()
     rolling = replace(BAYER, line_time_s=1e-5)
-    assert Camera(LENS, rolling).metadata()["line_time_s"] == 1e-5
+    assert Camera(LENS, rolling).to_metadata()["line_time_s"] == 1e-5

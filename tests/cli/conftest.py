@@ -33,7 +33,7 @@ class StubRenderer:
 
     def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
         images = {name: empty_image(name, seed) if OUTPUTS[name].is_image else {} for name in outputs}
-        metadata = camera.metadata() | {"width": 4, "height": 4}
+        metadata = camera.to_metadata() | {"width": 4, "height": 4}
         return Frame(images, {"camera": metadata, "instances": {}})
 
 

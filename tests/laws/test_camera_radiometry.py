@@ -45,7 +45,7 @@ def test_flash_on_a_grey_patch_at_half_a_metre():
 
 def squared_slopes(camera):
     """`(h, w)` squared slopes of the image's pixels, from the intrinsics in a frame's metadata."""
-    data = camera.metadata()
+    data = camera.to_metadata()
     v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
     return ((u - data["cx"]) / data["fx"]) ** 2 + ((v - data["cy"]) / data["fy"]) ** 2
 

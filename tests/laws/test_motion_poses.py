@@ -167,10 +167,10 @@ def test_light_of_a_pulse_among_rows_is_conserved():
 
 
 def test_metadata_of_a_moving_camera_has_its_motion():
-    described = moving_camera().metadata()
+    described = moving_camera().to_metadata()
     assert described["motion"]["velocity_m_s"] == list(VELOCITY)
     assert described["motion"]["angular_velocity_rad_s"] == list(SPIN)
     assert described["line_time_s"] == 2e-5
-    still = replace(moving_camera(0.0), motion=Motion()).metadata()
+    still = replace(moving_camera(0.0), motion=Motion()).to_metadata()
     assert "motion" not in still
     assert "line_time_s" not in still

@@ -78,7 +78,7 @@ def test_light_of_the_sky_falls_with_the_fourth_power_of_the_cosine():
         sheet(0.01, 0.01, -1.0, "grey"), {"grey": lambertian_surface("grey", 0.5)}, EVEN_SKY
     )
     electrons = Renderer(behind).render(camera, ["electrons"], "draft")["electrons"]
-    lens = camera.metadata()
+    lens = camera.to_metadata()
     v, u = np.mgrid[0:600, 0:800] + 0.5
     slope2 = ((u - lens["cx"]) / lens["fx"]) ** 2 + ((v - lens["cy"]) / lens["fy"]) ** 2
     measured, expected = (

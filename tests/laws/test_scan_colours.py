@@ -100,7 +100,7 @@ def relative(tmp_path_factory):
         Renderer(assemble_scene(mesh, SKINS, sky)).render(camera, ["electrons"], QUALITY)["electrons"]
         for mesh in (scanned_fruit(tmp_path_factory.mktemp("chart")), behind)
     )
-    lens, places = camera.metadata(), middles()
+    lens, places = camera.to_metadata(), middles()
     x = np.floor(lens["fx"] * places[:, 0] / places[:, 2] + lens["cx"]).astype(int)
     y = np.floor(lens["fy"] * places[:, 1] / places[:, 2] + lens["cy"]).astype(int)
     around = np.arange(-1, 2)

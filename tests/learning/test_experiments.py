@@ -51,7 +51,9 @@ class ShapesRenderer:
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         (image,) = shape_images(1, (48, 64), seed)
         images = {"colour": image.colour, "class": image.classes}
-        return Frame({name: images[name] for name in outputs}, {"camera": camera.metadata(), "instances": {}})
+        return Frame(
+            {name: images[name] for name in outputs}, {"camera": camera.to_metadata(), "instances": {}}
+        )
 
 
 def build_shapes(recipe, folder, frames, outputs, options, on_frame):

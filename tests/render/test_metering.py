@@ -155,7 +155,7 @@ def test_frames_without_control_or_light_are_as_before(scene, renderer):
     assert after.metadata == before.metadata
     assert "auto_exposure" not in after.metadata
     labels = renderer.render(camera(), ["class"], "draft", 5, exposure_control=CONTROL)
-    assert labels.metadata["camera"] == camera().metadata()
+    assert labels.metadata["camera"] == camera().to_metadata()
 
 
 def test_gain_above_the_highest_allowed_is_an_error(renderer):

@@ -172,7 +172,7 @@ def test_labels_are_consistent(frame, scene):
 def test_metadata_is_complete_and_plain_json(frame, scene):
     metadata = json.loads(json.dumps(dict(frame.metadata), allow_nan=False))
     assert metadata == frame.metadata
-    assert metadata["camera"] == camera().metadata()
+    assert metadata["camera"] == camera().to_metadata()
     assert metadata["seed"] == 5
     assert metadata["variant"].endswith("_ad_spectral")
     assert {"pepperscene", "mitsuba", "numpy", "python"} <= set(metadata["versions"])

@@ -72,7 +72,7 @@ class TwoFruit:
             },
         }
         metadata = {
-            "camera": {**camera.metadata(), "width": SIZE[1], "height": SIZE[0]},
+            "camera": {**camera.to_metadata(), "width": SIZE[1], "height": SIZE[0]},
             "instances": {
                 str(value): {**entry, "pixels": int((instance == value).sum())} for value in (7, 9)
             },

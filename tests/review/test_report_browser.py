@@ -45,7 +45,7 @@ class BandRenderer:
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         images = band_images(round(camera.pose[2, 3] * 100))
         sampling = {"error_codes": 1 + seed % 50 / 50, "noise_codes": 9.0, "samples_per_pixel": 8.0}
-        metadata = {"camera": camera.metadata(), "instances": {}, "sampling": sampling}
+        metadata = {"camera": camera.to_metadata(), "instances": {}, "sampling": sampling}
         return Frame({name: images[name] for name in outputs}, metadata)
 
 

@@ -86,7 +86,7 @@ class DiscRenderer:
         if "amodal" in outputs:
             images["amodal"] = {"format": "pepperscene amodal 1", "organs": whole_discs(instance, classes)}
         metadata = {
-            "camera": {**camera.metadata(), "width": WIDTH, "height": HEIGHT, "binning": 2, "bits": 10},
+            "camera": {**camera.to_metadata(), "width": WIDTH, "height": HEIGHT, "binning": 2, "bits": 10},
             "instances": instance_entries(instance, classes),
             "depth_camera": {"width": IMAGER_SHAPE[1], "height": IMAGER_SHAPE[0]},
         }

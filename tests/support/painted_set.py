@@ -53,7 +53,7 @@ class Painter:
             images["amodal"] = amodal(instance, visible, masks)
         instances = {str(value): entry for value, entry in visible.items()}
         size = {"width": SIZE[1], "height": SIZE[0]}
-        metadata = {"camera": {**camera.metadata(), **size}, "instances": instances}
+        metadata = {"camera": {**camera.to_metadata(), **size}, "instances": instances}
         return Frame({name: images[name] for name in outputs}, metadata)
 
 

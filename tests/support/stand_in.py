@@ -40,7 +40,7 @@ class StandIn:
         labelled = any(not OUTPUTS[name].traced for name in outputs)
         instance = {"class": 1, "kind": "lamina", "plant": 0, "phytomer": 3, "parent": 0, "pixels": 5}
         metadata = {
-            "camera": camera.metadata(),
+            "camera": camera.to_metadata(),
             "instances": {"1": instance} if labelled else {},
             "triangles": len(self.scene.mesh.faces),
         }

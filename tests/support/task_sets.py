@@ -38,7 +38,7 @@ def painted_set(folder, outputs, paint, changes=None, recipe="barth2018", frames
         def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
             images = paint(seed, (camera.height, camera.width))
             size = {"width": camera.width, "height": camera.height}
-            metadata = {"camera": {**camera.metadata(), **size}, "instances": {}}
+            metadata = {"camera": {**camera.to_metadata(), **size}, "instances": {}}
             return Frame({name: images[name] for name in outputs}, metadata)
 
     scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))

@@ -140,7 +140,7 @@ class Tracer:
         }  # fmt: skip
         if self.ignores:
             images["class"][images["instance"] == IGNORED] = 255
-        metadata = {"camera": {**camera.metadata(), **(self.rolling or {})}, "instances": entries}
+        metadata = {"camera": {**camera.to_metadata(), **(self.rolling or {})}, "instances": entries}
         return Frame({name: images[name] for name in outputs}, metadata)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.metadata import recorded_optics
 from pepperscene.camera.optics.flash import Flash
 from pepperscene.camera.optics.lens import Lens
 from pepperscene.camera.pixel_rays import (
@@ -30,6 +32,7 @@ from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.errors import InputError
 
 _ROW_ACCURACY_PX: Final = 1e-9  # chosen: rounding of pixel coordinates is a thousandth of it
+_EXPOSURE_S: Final = 50e-6  # unless another one is given; it does not affect the geometry
 _POINTS: Final = 1 << 13  # chosen: points that are projected at a time through a rolling shutter
 _MOST_ROW_STEPS: Final = 64
 """Chosen, for the fixed point of `Camera.project`: an image that moves by a tenth of a row while the shutter
@@ -64,7 +67,7 @@ class Camera:
     lens: Lens
     sensor: Sensor
     pose: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
-    exposure_s: float = 50e-6
+    exposure_s: float = _EXPOSURE_S
     flash: Flash | None = None
     developing: Developing = field(default_factory=Developing)
     focus_m: float | None = None
@@ -246,8 +249,32 @@ class Camera:
         pixels[np.isnan(pixels).any(axis=1)] = np.nan
         return pixels
 
-    def metadata(self) -> dict[str, Any]:
-        """JSON-ready description."""
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, Any]) -> Camera:
+        """The camera of a frame's JSON, for its geometry: values of light and electrons are placeholders.
+
+        `project`, `pixel_directions` and `label_poses` are those of the frame's labels.
+
+        Args:
+            metadata: as `to_metadata` describes it, of the types of `CameraMetadata`.
+
+        Raises:
+            InputError: the lens has no image of this size.
+            ValueError, ZeroDivisionError: a value is out of range.
+        """
+        lens, sensor = recorded_optics(metadata)
+        motion = metadata.get("motion") or {}
+        return cls(
+            lens,
+            sensor,
+            np.asarray(metadata["pose"], dtype=float),
+            exposure_s=min(sensor.line_time_s, _EXPOSURE_S) if sensor.line_scan else _EXPOSURE_S,
+            motion=Motion(motion["velocity_m_s"], motion["angular_velocity_rad_s"]) if motion else None,
+            labels_per_row=motion.get("labels_per_row", True),
+        )
+
+    def to_metadata(self) -> dict[str, Any]:
+        """JSON-ready description; `from_metadata` reads its geometry."""
         matrix, sensor = self.intrinsics, self.sensor
         # Keys of further modes are left out where they do not apply.
         mode: dict[str, Any] = {}
@@ -283,7 +310,7 @@ class Camera:
             "lens": self.lens.name,
             "sensor": self.sensor.name,
             "flash": None if self.flash is None else self.flash.name,
-            "developing": self.developing.metadata(),
+            "developing": self.developing.to_metadata(),
             **mode,
         }
         if self.motion is not None and self.is_moving:

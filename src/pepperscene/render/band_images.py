@@ -66,7 +66,7 @@ def measured_images(
             reflectance[rows] = np.divide(signal, white, out=np.full(white.shape, np.nan), where=lit)
         images["reflectance"] = reflectance
         on_axis = light[camera.height // 2] / response_integrals(camera)
-        described["white_reference"] = {**panel.metadata(), "radiance": on_axis.tolist()}
+        described["white_reference"] = {**panel.to_metadata(), "radiance": on_axis.tolist()}
         unlit = np.flatnonzero(np.isnan(reflectance).any(axis=(0, 1)))
         if unlit.size:
             described["white_reference"][UNLIT_BANDS] = unlit.tolist()

@@ -79,7 +79,7 @@ def depth_camera_images(
         matched = match_depth(pictures["imager_left"], pictures["imager_right"], depth_camera)
         depth, confidence = align_depth(matched.depth_m, matched.confidence, depth_camera.left, camera)
         images |= {"depth_sensor": depth, "depth_confidence": confidence}
-    described = depth_camera.with_left(views["imager_left"].camera).metadata()
+    described = depth_camera.with_left(views["imager_left"].camera).to_metadata()
     described["sampling"] = traced["imager_left"][1]
     return {name: image for name, image in images.items() if name in requested}, {"depth_camera": described}
 

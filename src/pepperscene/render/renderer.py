@@ -220,7 +220,7 @@ class Renderer:
                 visible = labels.visible_organs(instances)
                 masks = self._organs.amodal_masks(visible, camera, rays, seen.instance)
                 images["amodal"] = amodal_truth(masks, seen.instance, self.scene.mesh.instances)
-        metadata = {"camera": camera.metadata(), "seed": seed, "variant": variant_name()}
+        metadata = {"camera": camera.to_metadata(), "seed": seed, "variant": variant_name()}
         metadata |= {"versions": _library_versions(), **described, "instances": instances}
         return Frame({name: images[name] for name in requested}, metadata)
 

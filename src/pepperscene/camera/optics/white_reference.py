@@ -43,7 +43,7 @@ class WhiteReference:
         if not (0 < self.reflectance <= 1 and 0 < self.distance_m < math.inf):
             raise ValueError("a white reference needs a reflectance in (0, 1] and a positive distance")
 
-    def metadata(self) -> dict[str, Any]:
+    def to_metadata(self) -> dict[str, Any]:
         """JSON-ready description."""
         return {"reflectance": self.reflectance, "distance_m": self.distance_m, "facing": self.facing}
 

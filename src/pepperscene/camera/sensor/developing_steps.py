@@ -75,7 +75,7 @@ class Developing:
         if self.pedestal != "auto" and not 0.0 <= float(self.pedestal) <= LARGEST_PEDESTAL:
             raise ValueError(f'a pedestal must be "auto", or 0 to {LARGEST_PEDESTAL:g}')
 
-    def metadata(self) -> dict[str, Any]:
+    def to_metadata(self) -> dict[str, Any]:
         """JSON-ready description; later steps only if they are used."""
         steps = dataclasses.asdict(self)
         unused = {"white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0}

@@ -116,10 +116,10 @@ class DepthCamera:
         """The same depth camera with another left imager."""
         return dataclasses.replace(self, left=left)
 
-    def metadata(self) -> dict[str, Any]:
+    def to_metadata(self) -> dict[str, Any]:
         """JSON-ready description: that of the left imager, with the baseline, projector and matching."""
         return {
-            **self.left.metadata(),
+            **self.left.to_metadata(),
             "baseline_m": float(self.baseline_m),
             "projector": None if self.projector is None else self.projector.name,
             "matching": dataclasses.asdict(self.matching),

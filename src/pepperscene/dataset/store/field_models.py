@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
+from pepperscene.camera.metadata import (
+    LARGEST,
+    LARGEST_SIDE,
+    CameraMetadata,
+    Four,
+    Item,
+    Pose,
+    Real,
+    RecordedFields,
+    Text,
+    Three,
+)
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
 from pepperscene.recipe.plan import MAX_FRAMES, Plan
 from pepperscene.recipe.variation.recorded import read_variation
 
-_LARGEST: Final = 1e12
-"""Chosen: no number of a data set comes near, and sums and squares of such numbers stay finite."""
-_LARGEST_SIDE: Final = (
-    65_535  # chosen: pixels; masks of such images have fewer than 2^32, as pycocotools needs
-)
 _INSTANCES: Final = 65_535  # instance images have 16 bits
 _INSTANCE_KEY: Final = (
     "^([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$"
 )
 """1 to 65535, without leading zeros."""
 
-Item = TypeVar("Item")
-
-
-def _refuse_surrogates(text: str) -> str:
-    """JSON can hold halves of UTF-16 pairs, which no text file can."""
-    if not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text):
-        raise ValueError("must be text without unpaired surrogates")
-    return text
-
-
-Text = Annotated[str, AfterValidator(_refuse_surrogates)]
 Line = Annotated[str, Field(max_length=400, pattern=r"^[^\x00-\x1f]+$")]
 """As the names in a recipe."""
-Real = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
-Count = Annotated[int, Field(ge=0, le=int(_LARGEST))]
+Count = Annotated[int, Field(ge=0, le=int(LARGEST))]
 Number = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 Seed = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Place = Annotated[int, Field(ge=0, lt=MAX_FRAMES)]
@@ -44,16 +39,12 @@ InstanceNumber = Annotated[int, Field(ge=1, le=_INSTANCES)]
 InstanceKey = Annotated[str, Field(pattern=_INSTANCE_KEY)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Two = Annotated[list[Item], Field(min_length=2, max_length=2)]
-Three = Annotated[list[Item], Field(min_length=3, max_length=3)]
-Four = Annotated[list[Item], Field(min_length=4, max_length=4)]
-Pose = Four[Four[Real]]
-"""`(4, 4)`, row by row."""
 
 
 class _Fields(BaseModel):
     """The keys of a JSON object that readers use, of exactly these types."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = RecordedFields.model_config
 
 
 class _Row(_Fields):
@@ -108,45 +99,6 @@ class DatasetFields(_Fields):
     recipe: _Recipe
 
 
-class _Distortion(_Fields):
-    k1: Real
-    k2: Real
-    k3: Real
-    p1: Real = 0.0
-    p2: Real = 0.0
-    k4: Real = 0.0
-    k5: Real = 0.0
-    k6: Real = 0.0
-    model: Text = "plumb_bob"
-
-
-class _Motion(_Fields):
-    velocity_m_s: Three[Real]
-    angular_velocity_rad_s: Three[Real]
-    labels_per_row: bool = True
-
-
-class _Band(_Fields):
-    name: Text
-    centre_nm: Real
-    width_nm: Real
-
-
-class _Camera(_Fields):
-    pose: Pose
-    fx: Real
-    fy: Real
-    cx: Real
-    cy: Real
-    distortion: _Distortion
-    width: Annotated[int, Field(ge=1, le=_LARGEST_SIDE)] | None = None
-    height: Annotated[int, Field(ge=1, le=_LARGEST_SIDE)] | None = None
-    line_time_s: Annotated[float, Field(ge=0, le=_LARGEST)] = 0.0
-    line_scan: bool = False
-    bands: list[_Band] = []
-    motion: _Motion | None = None
-
-
 def _check_class(value: int) -> int:
     if not 0 <= value < len(OrganClass) and value != IGNORE_CLASS:
         raise ValueError(f"must be 0 to {len(OrganClass) - 1}, or {IGNORE_CLASS}")
@@ -196,7 +148,7 @@ class FrameFields(_Fields):
     step: Place
     seed: Seed | None = None
     recipe_seed: Seed | None = None
-    camera: _Camera
+    camera: CameraMetadata
     instances: dict[InstanceKey, _Instance]
     class_pixels: dict[Text, Count] = {}
     sampling: _Sampling = _Sampling()
@@ -211,8 +163,8 @@ class FrameFields(_Fields):
 class _Mask(_Fields):
     """COCO's uncompressed run lengths, of all pixels of the image."""
 
-    size: Two[Annotated[int, Field(ge=1, le=_LARGEST_SIDE)]]
-    counts: list[Annotated[int, Field(ge=0, le=_LARGEST_SIDE**2)]]
+    size: Two[Annotated[int, Field(ge=1, le=LARGEST_SIDE)]]
+    counts: list[Annotated[int, Field(ge=0, le=LARGEST_SIDE**2)]]
 
     @model_validator(mode="after")
     def _check_sum(self) -> _Mask:
