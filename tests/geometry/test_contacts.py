@@ -19,7 +19,7 @@ from pepperscene.geometry import (
 )
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import units_of
-from pepperscene.geometry.contacts.leaves import _nested_units
+from pepperscene.geometry.contacts.leaves import nested_units
 from pepperscene.geometry.contacts.organs import LEAF, Organs
 from pepperscene.geometry.contacts.resolve import ContactSolver, _Round
 
@@ -260,10 +260,10 @@ def test_distant_units_move_together_as_each_would_alone() -> None:
     assert len(contacts) == 4
     assert not len(together._resolve_some(contacts, _Round(0, np.tile(phase, 4))))
     alone._resolve_some(alone._find_contacts(), _Round(0, phase))
-    assert len(together.motions) == 4 * len(alone.motions) > 0
+    assert len(together.moving.motions) == 4 * len(alone.moving.motions) > 0
     for step in range(4):
         places = slice(number * step, number * (step + 1))
-        np.testing.assert_allclose(together._angles[places], alone._angles, atol=1e-6)
+        np.testing.assert_allclose(together.moving.angles[places], alone.moving.angles, atol=1e-6)
 
 
 def test_units_near_a_moved_one_wait() -> None:
@@ -273,7 +273,7 @@ def test_units_near_a_moved_one_wait() -> None:
     before = solver.detector.counts()
     waiting = solver._resolve_some(contacts, attempt)
     assert 0 < len(waiting) < len(contacts)
-    moved = {motion.instance for motion in solver.motions}
+    moved = {motion.instance for motion in solver.moving.motions}
     assert (solver.detector.depths(*contacts.T) < 0.0).sum() > 0.5 * len(moved)
     assert solver.detector.counts().fruit_touching < before.fruit_touching
 
@@ -286,7 +286,7 @@ def test_units_that_share_organs_clash_wherever_they_move() -> None:
     )
     others = units_of(organs, nested[-1].members[0] - 1)
     units = [*nested, *(unit for unit in others if not set(unit.members) & set(nested[-1].members))]
-    pairs = {(min(pair), max(pair)) for pair in _nested_units(units)}
+    pairs = {(min(pair), max(pair)) for pair in nested_units(units)}
     assert {(a, b) for a, b in pairs if a < len(nested)} == set(combinations(range(len(nested)), 2))
     # Compared with their members.
     assert pairs == {

@@ -72,7 +72,7 @@ def test_organs_without_triangles_keep_their_numbers() -> None:
 
 def test_only_rows_lose_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two crossed sheets that nothing moves: a plant alone keeps both, a row loses the smaller one."""
-    monkeypatch.setattr(LeafSolver, "_run_pass", lambda *_: None)
+    monkeypatch.setattr(LeafSolver, "_run_pass", lambda *_: np.empty(0, dtype=np.intp))
     alone = leaves(sheet(0.2), sheet(0.1, upright=True))
     owners = tuple(replace(item, plant=int(number > 2)) for number, item in enumerate(alone.instances))
     row = replace(alone, instances=owners)

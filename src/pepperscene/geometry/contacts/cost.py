@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.geometry.contacts.detect import NEAR
-from pepperscene.geometry.contacts.joints import Joints, MovableUnit, RigidTransforms
+from pepperscene.geometry.contacts.joints import Joints, MovableUnit, RigidTransforms, solid_members
 from pepperscene.geometry.contacts.organs import FRUIT, LEAF, Organs, boxes_overlap, overlapping_boxes
 from pepperscene.geometry.contacts.pairs import PER_MM, PairRules
 from pepperscene.geometry.mesh import FloatArray, IndexArray, expand_counts
@@ -68,13 +68,9 @@ class ContactCosts:
     def __init__(self, rules: PairRules, units: Sequence[MovableUnit], transforms: RigidTransforms) -> None:
         detector, organs = rules.detector, rules.detector.organs
         self._organs, self._units = organs, units
-        count = [len(unit.members) for unit in units]
-        members = np.fromiter((member for unit in units for member in unit.members), np.intp, sum(count))
-        unit = np.repeat(np.arange(len(units)), count)
+        members, unit = solid_members(organs, units)
         inside = np.zeros((len(units), len(organs)), dtype=bool)
         inside[unit, members] = True
-        solid = organs.solid[members]
-        members, unit = members[solid], unit[solid]
         low, high = swept_boxes(organs, members, unit, transforms)
         low, high = low - NEAR, high + NEAR
         # Other organs close to any organ of a unit.

@@ -113,6 +113,14 @@ class CoarseTriangles:
             by_boxes,
         )
 
+    def count_at_rest(
+        self, one: IndexArray, two: IndexArray, clearance: float, *, by_boxes: bool = False
+    ) -> IndexArray:
+        """Count the same of pairs of organs `(n,)` at their current poses."""
+        distinct, entry = np.unique(one, return_inverse=True)
+        rotation, shift = np.tile(np.eye(3), (len(distinct), 1, 1)), np.zeros((len(distinct), 3))
+        return self.count(distinct, rotation, shift, entry, two, clearance, by_boxes=by_boxes)
+
 
 def _runs(organs: int, chosen: IndexArray, count: IndexArray) -> InstanceRuns:
     """Runs of items, of the chosen organs one after another; others have none."""

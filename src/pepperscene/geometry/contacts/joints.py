@@ -102,6 +102,19 @@ def units_of(organs: Organs, organ: int) -> list[MovableUnit]:
     return units
 
 
+def unit_members(units: Sequence[MovableUnit]) -> tuple[IndexArray, IndexArray]:
+    """`(m,)` organs of some units, unit after unit, and `(m,)` index of the unit of each."""
+    owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
+    return np.concatenate([np.array(unit.members) for unit in units]), owner
+
+
+def solid_members(organs: Organs, units: Sequence[MovableUnit]) -> tuple[IndexArray, IndexArray]:
+    """As `unit_members`, only organs that can touch others."""
+    members, owner = unit_members(units)
+    solid = organs.solid[members]
+    return members[solid], owner[solid]
+
+
 def disc_points(count: int, phase: FloatArray) -> FloatArray:
     """`(u, count, 2)` points evenly over unit discs, from the centre outwards, rotated by `(u,)` radians."""
     step = np.arange(count) + 0.5
@@ -167,6 +180,49 @@ def find_joints(organs: Organs, units: Sequence[MovableUnit]) -> Joints:
     is_vertical = on_stem | (length == 0.0)
     axis = np.where(is_vertical, [0.0, 0.0, 1.0], axis / np.where(is_vertical, 1.0, length))
     return Joints(foot, across, pivot, axis)
+
+
+class MovingUnits:
+    """The units of all organs, their current angles, and the rotations that led there.
+
+    Attributes:
+        organs: of one or more plants.
+        angles: `(n, 2)` radians, around and up, of the unit that starts with each organ.
+        motions: all rotations so far.
+    """
+
+    def __init__(self, organs: Organs) -> None:
+        self.organs = organs
+        self.angles = np.zeros((len(organs), 2))
+        self.motions: list[JointRotation] = []
+        self._units: dict[int, list[MovableUnit]] = {}
+
+    def of_organ(self, organ: int) -> list[MovableUnit]:
+        """The units that an organ belongs to, smallest first."""
+        if organ not in self._units:
+            self._units[organ] = units_of(self.organs, organ)
+        return self._units[organ]
+
+    def move(self, units: Sequence[MovableUnit], angles: FloatArray) -> None:
+        """Move units that have no organs in common to some angles, `(u, 2)`."""
+        roots = np.array([unit.root for unit in units])
+        change = angles - self.angles[roots]
+        joints = find_joints(self.organs, units)
+        around, up = change.T
+        parts = (
+            (up, rotations(joints.across, up[:, None]), joints.foot),
+            (around, rotations(joints.axis, around[:, None]), joints.pivot),
+        )
+        for row, unit in enumerate(units):
+            self.motions += [
+                JointRotation(unit.root, rotation[row, 0], pivot[row])
+                for angle, rotation, pivot in parts
+                if angle[row] != 0.0
+            ]
+        transforms = joints.transforms(change[:, None])
+        members, owner = unit_members(units)
+        self.organs.move(members, transforms.rotation[owner, 0], transforms.shift[owner, 0])
+        self.angles[roots] = angles
 
 
 def rotations(axis: FloatArray, angles: FloatArray) -> FloatArray:

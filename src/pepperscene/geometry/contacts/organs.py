@@ -28,11 +28,12 @@ FLOWER, LEAF, FRUIT, STALK, STEM, SHOOT, WIRE = (
     )
 )  # fmt: skip
 
+_Corners = FloatArray | SingleArray
 _BLOCK: Final = 64  # boxes compared at a time, chosen
 
 
 def boxes_overlap(
-    low: FloatArray, high: FloatArray, other_low: FloatArray, other_high: FloatArray
+    low: _Corners, high: _Corners, other_low: _Corners, other_high: _Corners
 ) -> NDArray[np.bool_]:
     """Whether boxes with corners `(..., 3)` overlap; comparing axis by axis is faster than `np.all`."""
     result = np.ones(np.broadcast_shapes(low.shape, other_low.shape)[:-1], dtype=bool)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,10 +17,10 @@ from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDet
 from pepperscene.geometry.contacts.joints import (
     JointRotation,
     MovableUnit,
+    MovingUnits,
     disc_points,
     find_joints,
-    rotations,
-    units_of,
+    solid_members,
 )
 from pepperscene.geometry.contacts.leaf_crossings import deep_pairs, superfluous_leaves
 from pepperscene.geometry.contacts.leaves import PASSES, LeafSolver
@@ -70,26 +69,25 @@ class ContactSolver:
 
     def __init__(self, detector: ContactDetector, rng: np.random.Generator) -> None:
         self.detector, self.organs = detector, detector.organs
-        self.motions: list[JointRotation] = []
+        self.moving = MovingUnits(detector.organs)
         self.touching = np.empty((0, 2), dtype=np.intp)  # leaves and others, after `free_leaves`
         self._rng = rng
-        self._angles = np.zeros((len(self.organs), 2))
-        self._units: dict[int, list[MovableUnit]] = {}
 
     def run_round(self, number: int) -> bool:
         """Try to resolve every contact once; return whether there was any."""
         contacts = self._find_contacts()
-        has_contacts = len(contacts) > 0
-        phase = self._rng.uniform(0.0, 2.0 * np.pi, len(self.organs)) if has_contacts else np.empty(0)
+        if not len(contacts):
+            return False
+        phase = self._rng.uniform(0.0, 2.0 * np.pi, len(self.organs))
         while len(contacts):
             contacts = self._resolve_some(contacts, _Round(number, phase))
             # A motion may have resolved others, too.
             contacts = contacts[self.detector.depths(*contacts.T) > _TOUCHING]
-        return has_contacts
+        return True
 
     def free_leaves(self, passes: int) -> None:
         """Rotate leaves and shoots that cross each other."""
-        solver = LeafSolver(self.detector, self._angles, self._move, self._units_of)
+        solver = LeafSolver(self.detector, self.moving)
         solver.run(passes, self._rng)
         if passes:
             self.touching = solver.run_last(self._rng)
@@ -126,14 +124,13 @@ class ContactSolver:
         trials: dict[int, _Trial] = {}
         best: dict[int, MovableUnit] = {}
         unresolved = list(range(len(candidates)))
+        # In each turn the next unit of every contact that no small rotation has resolved.
         for turn in range(max(map(len, candidates))):
             unresolved = [place for place in unresolved if turn < len(candidates[place])]
             # Trying a few units too many costs less than trying units separately.
             stop = turn + 1 if len(unresolved) > _FEW else None
-            candidates_by_root = {
-                unit.root: unit for place in unresolved for unit in candidates[place][turn:stop]
-            }
-            units = [unit for root, unit in candidates_by_root.items() if root not in trials]
+            next_units = {unit.root: unit for place in unresolved for unit in candidates[place][turn:stop]}
+            units = [unit for root, unit in next_units.items() if root not in trials]
             if units:
                 places = [contacts_of[unit.root] for unit in units]
                 trials |= self._try_units(units, places, contacts, current_round)
@@ -148,14 +145,8 @@ class ContactSolver:
 
     def _candidate_units(self, organ: int, other: int) -> list[MovableUnit]:
         """The units whose motion may resolve a contact, those of the other organ first."""
-        both = (*self._units_of(other), *self._units_of(organ))
+        both = (*self.moving.of_organ(other), *self.moving.of_organ(organ))
         return [unit for unit in both if not (organ in unit.members and other in unit.members)]
-
-    def _units_of(self, organ: int) -> list[MovableUnit]:
-        """The units that an organ belongs to, smallest first."""
-        if organ not in self._units:
-            self._units[organ] = units_of(self.organs, organ)
-        return self._units[organ]
 
     def _try_units(
         self, units: list[MovableUnit], places: list[list[int]], contacts: IndexArray, current_round: _Round
@@ -167,7 +158,7 @@ class ContactSolver:
         rules = PairRules(self.detector, hard=current_round.hard)
         poses, resolves = self._candidate_poses(units, places, contacts, current_round, rules)
         trials = {
-            unit.root: _Trial(0.0, self._angles[unit.root], False, contacts_resolved)
+            unit.root: _Trial(0.0, self.moving.angles[unit.root], False, contacts_resolved)
             for unit, contacts_resolved in zip(units, resolves, strict=True)
         }
         useful = np.flatnonzero([len(group) > 0 for group in resolves])
@@ -199,7 +190,10 @@ class ContactSolver:
         Effort and what remains of the contacts are a lower bound of the cost of a pose.
         """
         roots = np.array([unit.root for unit in units])
-        current, weights = self._angles[roots][:, None], np.array([unit.weights for unit in units])[:, None]
+        current, weights = (
+            self.moving.angles[roots][:, None],
+            np.array([unit.weights for unit in units])[:, None],
+        )
         limits = np.array([unit.limits for unit in units])[:, None]
         pattern = disc_points(current_round.counts()[0], current_round.phase[roots])
         angles = np.concatenate([current, limits * pattern], axis=1)
@@ -207,11 +201,12 @@ class ContactSolver:
         upwards = np.array([unit.on_stem and unit.bears_fruit for unit in units])
         angles[upwards, 1:, 1] = np.abs(angles[upwards, 1:, 1])
         joints = find_joints(self.organs, units)
+        transforms = joints.transforms(angles - current)
+        # What remains of the contacts that each unit is to resolve.
         owner, rows = (
             np.repeat(np.arange(len(units)), [len(group) for group in places]),
             np.concatenate(places),
         )
-        transforms = joints.transforms(angles - current)
         each = remaining_cost(rules, units, owner, contacts[rows], transforms, _COARSE_STRIDE)
         ends = np.any(each <= 0.0, axis=1) | (current_round.number > 0)
         resolves = [frozenset(rows[(owner == unit) & ends].tolist()) for unit in range(len(units))]
@@ -233,14 +228,12 @@ class ContactSolver:
         organs, is_fruit = self.organs, self.organs.organ_class == FRUIT
         units = list({unit.root: unit for unit in best.values()}.values())
         row_of_root = {unit.root: row for row, unit in enumerate(units)}
-        change = np.array([angles[unit.root] - self._angles[unit.root] for unit in units])
+        change = np.array([angles[unit.root] - self.moving.angles[unit.root] for unit in units])
         transforms = find_joints(organs, units).transforms(change[:, None])
-        owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
-        members = np.concatenate([np.array(unit.members) for unit in units])
-        solid = organs.solid[members]
-        owner, members = owner[solid], members[solid]
+        members, owner = solid_members(organs, units)
         low, high = organs.boxes_after(members, transforms.rotation[owner, 0], transforms.shift[owner, 0])
         first = np.searchsorted(owner, np.arange(len(units) + 1))
+        # A contact waits if its organs or its unit have moved, or a fruit is involved in what is now near.
         has_moved, moved_rows = np.zeros(len(organs), dtype=bool), np.empty(0, dtype=np.intp)
         waiting: list[int] = []
         moved_units: list[MovableUnit] = []
@@ -262,30 +255,8 @@ class ContactSolver:
             moved_rows = np.append(moved_rows, rows)
             has_moved[list(unit.members)] = True
             moved_units.append(unit)
-        self._move(moved_units, np.array([angles[unit.root] for unit in moved_units]))
+        self.moving.move(moved_units, np.array([angles[unit.root] for unit in moved_units]))
         return contacts[waiting]
-
-    def _move(self, units: Sequence[MovableUnit], angles: FloatArray) -> None:
-        """Move units that have no organs in common to some angles, `(u, 2)`."""
-        roots = np.array([unit.root for unit in units])
-        change = angles - self._angles[roots]
-        joints = find_joints(self.organs, units)
-        around, up = change.T
-        parts = (
-            (up, rotations(joints.across, up[:, None]), joints.foot),
-            (around, rotations(joints.axis, around[:, None]), joints.pivot),
-        )
-        for row, unit in enumerate(units):
-            self.motions += [
-                JointRotation(unit.root, rotation[row, 0], pivot[row])
-                for angle, rotation, pivot in parts
-                if angle[row] != 0.0
-            ]
-        transforms = joints.transforms(change[:, None])
-        owner = np.repeat(np.arange(len(units)), [len(unit.members) for unit in units])
-        members = np.concatenate([np.array(unit.members) for unit in units])
-        self.organs.move(members, transforms.rotation[owner, 0], transforms.shift[owner, 0])
-        self._angles[roots] = angles
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,4 +314,4 @@ def resolve_contacts(
     counts = solver.detector.counts()
     moved = solver.organs.current_mesh()
     result = moved.without_triangles(left_out) if len(left_out) else moved
-    return ResolvedMesh(result, tuple(solver.motions), counts, tuple(left_out.tolist()))
+    return ResolvedMesh(result, tuple(solver.moving.motions), counts, tuple(left_out.tolist()))
