@@ -104,6 +104,7 @@ def assert_invisible(bias: Bias, most: float) -> None:
         assert abs(relative) < most + 2.0 * error, (name, bias)
 
 
+@pytest.mark.long
 def test_small_frames_have_no_visible_bias():
     scene, camera = plants_view()
     camera = replace(camera, sensor=replace(camera.sensor, columns=88, rows=66))
