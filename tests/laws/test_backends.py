@@ -41,7 +41,9 @@ def rendered(daylight):
     return {name: np.asarray(frame[name]) for name in OUTPUTS}
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["flash", "daylight"])
+@pytest.fixture(
+    scope="module", params=[False, pytest.param(True, marks=pytest.mark.long)], ids=["flash", "daylight"]
+)
 def daylight(request):
     return request.param
 

@@ -52,7 +52,10 @@ def grows_beside(mesh: Mesh, stalk: int, stem: int) -> bool:
     return bool(near & {stalk, mesh.instances[stalk].parent})
 
 
-@pytest.mark.parametrize("name", ["kaite", "red_blocky", "kaite_old", "orange_pointed"])
+LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("red_blocky", "kaite_old", "orange_pointed")]
+
+
+@pytest.mark.parametrize("name", ["kaite", *LONG])
 def test_no_leaf_of_a_row_is_deep_in_another(name: str) -> None:
     mesh = settled_row(name)
     with_blades, with_stalks = leaf_pairs(mesh)
