@@ -1,10 +1,10 @@
-"""Findings of a check, and safe access to the JSON of frames, which may be damaged."""
+"""Findings of a check, and values of a frame's JSON."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -51,10 +51,6 @@ class Finding:
     file: str
     problem: str
 
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"{self.kind!r} is not a kind of finding")
-
 
 @dataclass(frozen=True)
 class CheckResult:
@@ -82,67 +78,38 @@ class CheckResult:
 
     def to_json(self) -> dict[str, Any]:
         """The result as an object for JSON."""
-        return {
-            "good": self.passed,
-            "frames": self.frames,
-            "counts": self.counts(),
-            "findings": [
-                {"kind": item.kind, "index": item.index, "file": item.file, "what": item.problem}
-                for item in self.findings
-            ],
-            "notes": list(self.notes),
-        }
+        content = {"passed": self.passed, "frames": self.frames, "counts": self.counts()}
+        return {**content, "findings": [asdict(item) for item in self.findings], "notes": list(self.notes)}
 
 
 def sort_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Findings by kind, the most serious first, then by frame and file."""
-    rank = {kind: number for number, kind in enumerate(KINDS)}
+    rank = list(KINDS).index
 
     def key(finding: Finding) -> tuple[int, int, str]:
-        return rank[finding.kind], -1 if finding.index is None else finding.index, finding.file
+        return rank(finding.kind), -1 if finding.index is None else finding.index, finding.file
 
     return tuple(sorted(findings, key=key))
 
 
-def json_object(metadata: Mapping[str, Any], key: str) -> dict[str, Any]:
+def json_object(metadata: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """The object of a key, empty if there is none."""
     value = metadata.get(key)
-    return value if isinstance(value, dict) else {}
-
-
-def instance_entries(metadata: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-    """The entries of the instances by their number."""
-    entries = json_object(metadata, "instances").items()
-    return {int(key): entry for key, entry in entries if key.isdecimal() and isinstance(entry, dict)}
-
-
-def camera_pose(metadata: Mapping[str, Any]) -> NDArray[np.float64] | None:
-    """`(4, 4)`, camera to world; None if there is no valid one."""
-    try:
-        pose = np.asarray(json_object(metadata, "camera").get("pose"), dtype=float)
-    except (TypeError, ValueError):
-        return None
-    return pose if pose.shape == (4, 4) and np.isfinite(pose).all() else None
-
-
-def camera_centres(metadata: Mapping[str, Any], rows: int) -> NDArray[np.float64] | None:
-    """Projection centres of the labels of an image, `(3,)`, or `(rows, 1, 3)` if its rows have poses.
-
-    None if the camera's JSON is not valid.
-    """
-    pose, camera = camera_pose(metadata), json_object(metadata, "camera")
-    motion, line_time_s = json_object(camera, "motion"), camera.get("line_time_s", 0.0)
-    if pose is None or not motion or not line_time_s or motion.get("labels_per_row") is False:
-        return None if pose is None else pose[:3, 3]
-    try:
-        times = (np.arange(rows) + 0.5 - 0.5 * rows) * float(line_time_s)
-        velocity = np.asarray(motion.get("velocity_m_s"), dtype=float).reshape(3)
-    except (TypeError, ValueError):
-        return None
-    return np.asarray(pose[:3, 3] + times[:, None, None] * velocity)
+    return value if isinstance(value, Mapping) else {}
 
 
 def camera_integer(metadata: Mapping[str, Any], key: str, default: int = 0) -> int:
     """An integer of the camera."""
     value = json_object(metadata, "camera").get(key)
     return value if isinstance(value, int) else default
+
+
+def camera_centres(metadata: Mapping[str, Any], rows: int) -> NDArray[np.float64]:
+    """Projection centres of the labels of an image, `(3,)`, or `(rows, 1, 3)` if its rows have poses."""
+    camera = metadata["camera"]
+    centre: NDArray[np.float64] = np.array(camera["pose"], float)[:3, 3]
+    motion, line_time_s = camera.get("motion"), camera.get("line_time_s")
+    if not motion or not line_time_s or not motion.get("labels_per_row", True):
+        return centre
+    times = (np.arange(rows) + 0.5 - 0.5 * rows) * float(line_time_s)
+    return np.asarray(centre + times[:, None, None] * np.array(motion["velocity_m_s"], float))

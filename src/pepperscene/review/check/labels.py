@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
-from pepperscene.errors import short_repr
-from pepperscene.review.check.findings import instance_entries, json_object
 from pepperscene.truth import class_colour, class_pixel_counts, distance_code
 from pepperscene.truth.encodings import is_class_id
 
@@ -19,23 +16,12 @@ Problem = tuple[str, str, str]
 """Kind, output and description."""
 
 _UNKNOWN: Final = 254  # no class id
+_INSTANCES: Final = 1 << 16  # instance images have 16 bits
 _MAX_NAMES: Final = 5  # chosen: in a sentence
 
 
-@dataclass(frozen=True)
-class _WholeOrgans:
-    """An output with the hidden parts of organs."""
-
-    format: str
-    key: str  # of the list of organs
-    name: str  # of one of them
-    article: str  # the name with its article
-
-
-_WHOLE_ORGANS: Final = {
-    "harvest": _WholeOrgans("pepperscene harvest 1", "fruit", "fruit", "a fruit"),
-    "amodal": _WholeOrgans("pepperscene amodal 1", "organs", "organ", "an organ"),
-}
+_WHOLE_ORGANS: Final = {"harvest": ("fruit", "fruit"), "amodal": ("organs", "organ")}
+"""Key of the list of organs in an output with their hidden parts, and the name of one of them."""
 
 
 def check_labels(
@@ -43,8 +29,8 @@ def check_labels(
 ) -> Iterator[Problem]:
     """Yield the problems of a frame's classes and instances.
 
-    The images, by output name, have the right type and all one size; the metadata are the frame's JSON. Only
-    with `ignored` may pixels have `IGNORE_CLASS`.
+    The images, by output name, have the right type and all one size; the metadata are the frame's JSON, of
+    valid types. Only with `ignored` may pixels have `IGNORE_CLASS`.
     """
     classes, instances = images.get("class"), images.get("instance")
     if classes is not None:
@@ -68,7 +54,7 @@ def _check_classes(
         last = len(OrganClass) - 1
         yield "label", "class", f"{_pixels(invalid)} with class {ids}; the last class is {last}"
         return
-    expected = json_object(metadata, "class_pixels")
+    expected = metadata.get("class_pixels", {})
     for name, count in class_pixel_counts(classes).items():
         if expected.get(name) != count:
             problem = f"{count} pixels are {name}, but class_pixels is {expected.get(name)}"
@@ -82,7 +68,7 @@ def _check_instances(instances: NDArray[np.uint16], metadata: Mapping[str, Any])
 
     counts = np.bincount(instances.ravel())
     visible = {int(number) for number in np.flatnonzero(counts) if number}
-    entries = instance_entries(metadata)
+    entries = {int(number): entry for number, entry in metadata["instances"].items()}
     if unknown := sorted(visible - entries.keys()):
         pixels = int(counts[unknown].sum())
         problem = f"{pixels} pixels with instance {_list_ids(unknown)}, which the JSON does not list"
@@ -90,21 +76,23 @@ def _check_instances(instances: NDArray[np.uint16], metadata: Mapping[str, Any])
     if absent := sorted(entries.keys() - visible):
         yield "contradiction", "instance", f"the JSON lists instance {_list_ids(absent)}, without any pixel"
     common = sorted(visible & entries.keys())
-    if wrong := [number for number in common if entries[number].get("pixels") != int(counts[number])]:
-        first = wrong[0]
-        problem = (
-            f"{counts[first]} pixels have instance {first}, the JSON says {entries[first].get('pixels')}"
-        )
-        yield "contradiction", "instance", problem + _describe_others(wrong)
-    if any("box" in entries[number] for number in common):
+    areas = {number: int(counts[number]) for number in common}
+    yield from _compare(entries, "pixels", areas, "{found} pixels have instance {number}")
+    if any(entries[number].get("box") for number in common):
         windows = ndimage.find_objects(instances)
         boxes = {number: _window_box(windows[number - 1]) for number in common}
-        if wrong := [number for number in common if entries[number].get("box") != boxes[number]]:
-            first = wrong[0]
-            problem = (
-                f"the box of instance {first} is {boxes[first]}, the JSON says {entries[first].get('box')}"
-            )
-            yield "contradiction", "instance", problem + _describe_others(wrong)
+        yield from _compare(entries, "box", boxes, "the box of instance {number} is {found}")
+
+
+def _compare(
+    entries: Mapping[int, Mapping[str, Any]], key: str, found: Mapping[int, Any], text: str
+) -> Iterator[Problem]:
+    """Compare a value of instances with what the image shows; `text` describes the first that differs."""
+    if wrong := [number for number, value in found.items() if entries[number].get(key) != value]:
+        problem = text.format(number=wrong[0], found=found[wrong[0]])
+        others = f"; likewise {len(wrong) - 1} more" if len(wrong) > 1 else ""
+        said = entries[wrong[0]].get(key)
+        yield "contradiction", "instance", f"{problem}, the JSON says {said}{others}"
 
 
 def _check_instance_classes(
@@ -117,10 +105,10 @@ def _check_instance_classes(
     allowed = [*OrganClass, IGNORE_CLASS] if ignored else [*OrganClass]
     class_of = np.full(int(instances.max()) + 1, _UNKNOWN, np.uint8)
     class_of[0] = OrganClass.BACKGROUND
-    for number, entry in instance_entries(metadata).items():
-        organ_class = entry.get("class")
-        if not isinstance(organ_class, int) or organ_class not in allowed:
-            problem = f"the JSON gives instance {number} the class {short_repr(organ_class)}"
+    for key, entry in metadata["instances"].items():
+        number, organ_class = int(key), entry["class"]
+        if organ_class not in allowed:
+            problem = f"the JSON gives instance {number} the class {organ_class}"
             yield "contradiction", "instance", problem
         elif number < len(class_of):
             class_of[number] = organ_class
@@ -166,54 +154,26 @@ def _check_derived(images: Mapping[str, Any]) -> Iterator[Problem]:
 
 def check_whole_organs(images: Mapping[str, Any]) -> Iterator[Problem]:
     """Yield the problems of organs with their hidden parts: of a frame's harvest truth and amodal masks."""
-    instances = images.get("instance")
-    counts = None if instances is None else np.bincount(instances.ravel())
-    for output, whole in _WHOLE_ORGANS.items():
-        if output in images:
-            yield from _check_entries(output, whole, images[output], counts)
-    if "harvest" in images and "amodal" in images:
-        yield from _compare_masks(images["harvest"], images["amodal"])
-
-
-def _check_entries(
-    output: str, whole: _WholeOrgans, content: Mapping[str, Any], counts: Any
-) -> Iterator[Problem]:
-    if content.get("format") != whole.format or not isinstance(content.get(whole.key), list):
-        yield "damaged", output, f"must have the format {whole.format!r}"
-        return
-    for entry in content[whole.key]:
-        try:
-            for problem in _check_entry(whole.name, entry, counts):
+    instances, masks = images.get("instance"), dict[int, Any]()
+    counts = None if instances is None else np.bincount(instances.ravel(), minlength=_INSTANCES)
+    for output, (key, name) in _WHOLE_ORGANS.items():
+        for entry in images.get(output, {key: ()})[key]:
+            for problem in _check_entry(name, entry, counts):
                 yield "contradiction", output, problem
-        except (KeyError, TypeError, IndexError) as error:
-            yield "damaged", output, f"has {whole.article} without {error}"
-            return
+            number, mask = entry["instance"], entry["amodal"]
+            if masks.setdefault(number, mask) != mask:
+                yield "contradiction", "amodal", f"fruit {number}: another mask than that of harvest"
 
 
-def _check_entry(name: str, entry: Mapping[str, Any], counts: Any) -> Iterator[str]:
+def _check_entry(name: str, entry: Mapping[str, Any], counts: NDArray[np.int64] | None) -> Iterator[str]:
     number, visible, amodal = entry["instance"], entry["visible_pixels"], entry["amodal_pixels"]
-    if counts is not None:
-        pixels = int(counts[number]) if number < len(counts) else 0
-        if pixels != visible:
-            yield f"{name} {number} has {pixels} visible pixels, the JSON says {visible}"
+    if counts is not None and counts[number] != visible:
+        yield f"{name} {number} has {counts[number]} visible pixels, the JSON says {visible}"
     if not 0 <= visible <= amodal:
         yield f"{name} {number} has {visible} visible pixels of {amodal}"
-    # COCO's run lengths: their sum is the whole image, every second one belongs to the organ.
-    size, runs = entry["amodal"]["size"], entry["amodal"]["counts"]
-    if sum(runs) != size[0] * size[1] or sum(runs[1::2]) != amodal:
-        yield f"the amodal mask of {name} {number} has {sum(runs[1::2])} pixels, the JSON says {amodal}"
-
-
-def _compare_masks(harvest: Mapping[str, Any], amodal: Mapping[str, Any]) -> Iterator[Problem]:
-    """Fruit in both outputs must have the same masks."""
-    try:
-        masks = {entry["instance"]: entry["amodal"] for entry in harvest["fruit"]}
-        organs = {entry["instance"]: entry["amodal"] for entry in amodal["organs"]}
-    except (KeyError, TypeError):
-        # Its faults are findings of the checks above.
-        return
-    if wrong := [number for number, mask in organs.items() if masks.get(number, mask) != mask]:
-        yield "contradiction", "amodal", f"fruit {_list_ids(wrong)}: another mask than that of harvest"
+    # COCO's run lengths: every second one belongs to the organ.
+    if (pixels := sum(entry["amodal"]["counts"][1::2])) != amodal:
+        yield f"the amodal mask of {name} {number} has {pixels} pixels, the JSON says {amodal}"
 
 
 def _window_box(window: tuple[slice, slice]) -> list[int]:
@@ -232,7 +192,3 @@ def _pixels(mask: NDArray[np.bool_]) -> str:
 def _list_ids(numbers: Any) -> str:
     names = ", ".join(str(number) for number in numbers[:_MAX_NAMES])
     return f"{names} and {len(numbers) - _MAX_NAMES} more" if len(numbers) > _MAX_NAMES else names
-
-
-def _describe_others(numbers: Sequence[int]) -> str:
-    return f"; likewise {len(numbers) - 1} more" if len(numbers) > 1 else ""
