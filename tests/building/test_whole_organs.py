@@ -95,7 +95,11 @@ def test_complete_ones_have_no_finding(dataset):
         (lambda content: content["organs"][0].update(visible_pixels=1), "contradiction", "the JSON says 1"),
         (lambda content: content["organs"][0].update(amodal_pixels=1), "contradiction", "the JSON says 1"),
         (lambda content: content.update(format="other"), "damaged", "must have the format"),
-        (lambda content: content["organs"][5].pop("amodal"), "damaged", "has an organ without 'amodal'"),
+        (
+            lambda content: content["organs"][5].pop("amodal"),
+            "damaged",
+            "5.amodal: is required but missing",
+        ),
     ],
 )
 def test_contradictions_are_found(edit, kind, problem, dataset, tmp_path):

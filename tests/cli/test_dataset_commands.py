@@ -45,7 +45,7 @@ def test_faults_give_a_table_and_exit_code_1(command, folder):
 
 def test_check_prints_json(command, folder):
     assert json.loads(command("check", folder, "--json").stdout) == {
-        "good": True, "frames": 3, "counts": {}, "findings": [], "notes": [],
+        "passed": True, "frames": 3, "counts": {}, "findings": [], "notes": [],
     }  # fmt: skip
     write_image(folder / "class/006139.png", np.full((4, 4), 8, np.uint8), "class")
     result = command("check", folder, "--json", "--workers", 1)
@@ -53,7 +53,7 @@ def test_check_prints_json(command, folder):
     content = json.loads(result.stdout)
     assert content["counts"] == {"checksum": 1}
     assert {finding["index"] for finding in content["findings"]} == {6139}
-    assert {"kind", "index", "file", "what"} == set(content["findings"][0])
+    assert {"kind", "index", "file", "problem"} == set(content["findings"][0])
 
 
 def test_check_reports_missing_frames(command, folder):

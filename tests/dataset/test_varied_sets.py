@@ -22,8 +22,8 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.variation.notation import parse_varied
 from pepperscene.recipe.variation.recorded import read_variation, recorded_draws
 from pepperscene.review.check import check_dataset
-from pepperscene.review.check.exposure import Exposures
-from pepperscene.review.check.variation import DrawnValues
+from pepperscene.review.check.notes import exposure_notes, unlikely_draws
+from pepperscene.review.check.one_frame import FrameTraits
 from pepperscene.review.report import write_report
 
 TIMINGS = ("render_s", "write_s", "worker")
@@ -235,11 +235,12 @@ def drawn_notes(changed=None, plan=None):
     recipe = {"seed": 3, "plan": plan.model_dump()}
     recipe["variation"] = {varied.name: varied.identity() for varied in values}
     variation = read_variation(json.loads(json.dumps(recipe)))
-    info = {"recipe": {**recipe, "variation": {**recipe["variation"], **(changed or {})}}}
-    checks = DrawnValues(json.loads(json.dumps(info)))
-    for index in range(plan.count):
-        checks.add(index, recorded_draws(recipe, variation, plan.frame(index)))
-    return list(checks.notes())
+    frames = [
+        FrameTraits(index, drawn=recorded_draws(recipe, variation, plan.frame(index)))
+        for index in range(plan.count)
+    ]
+    recipe["variation"] |= changed or {}
+    return list(unlikely_draws(frames, json.loads(json.dumps(recipe))))
 
 
 def kind_of(key):
@@ -263,32 +264,32 @@ def test_few_draws_are_not_judged():
     assert len(drawn_notes({"camera.focus_mm": other}, many)) == 1
 
 
-def exposure_notes(frames, recipe=None, **info):
-    checks = Exposures({"recipe": recipe or {"camera": {"exposure_us": 50.0}}, **info})
-    for mean, saturated, automatic in frames:
-        checks.add(mean, saturated, automatic)
-    return list(checks.notes())
+def notes_on(frames, exposure_us=50.0, **info):
+    traits = [
+        FrameTraits(0, mean=mean, saturated=saturated, automatic=auto or {})
+        for mean, saturated, auto in frames
+    ]
+    return list(exposure_notes(traits, {"recipe": {"camera": {"exposure_us": exposure_us}}, **info}))
 
 
 def test_dark_and_overexposed_sets_are_one_note_with_advice():
-    assert exposure_notes([(100.0, 0.0, None), (20.0, 0.0, None), (None, 0.0, None)]) == []
-    (note,) = exposure_notes([(30.0, 0.0, None), (40.0, 0.0, None)])
+    assert notes_on([(100.0, 0.0, None), (20.0, 0.0, None), (None, 0.0, None)]) == []
+    (note,) = notes_on([(30.0, 0.0, None), (40.0, 0.0, None)])
     assert note.startswith("the photographs are dark: their mean grey value is 35 of 255")
     assert note.endswith('set a longer camera.exposure_us, or exposure_us = "auto"')
     for frame in ((200.0, 0.0, None), (120.0, 0.06, None)):
-        (note,) = exposure_notes([frame])
+        (note,) = notes_on([frame])
         assert note.endswith('set a shorter camera.exposure_us, or exposure_us = "auto"')
     # The recipe's own expectations judge.
-    assert exposure_notes([(30.0, 0.0, None)], expect={"intensity": [20, 50]}) == []
+    assert notes_on([(30.0, 0.0, None)], expect={"intensity": [20, 50]}) == []
 
 
 def test_limits_of_automatic_exposure_are_one_note():
-    auto = {"camera": {"exposure_us": "auto"}}
     limits = [None, "longest exposure and gain", "saturation", "longest exposure and gain"]
     frames = [(100.0, 0.0, {"exposure_s": 1e-3, "limited_by": limit}) for limit in limits]
-    (note,) = exposure_notes(frames, auto)
+    (note,) = notes_on(frames, "auto")
     assert note.startswith(
         "3 of 4 automatic exposures reached a limit (2 longest exposure and gain, 1 saturation)"
     )
-    (note,) = exposure_notes([(20.0, 0.0, {"limited_by": None})], auto)
+    (note,) = notes_on([(20.0, 0.0, {"limited_by": None})], "auto")
     assert "auto_exposure.target_grey" in note

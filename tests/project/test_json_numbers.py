@@ -22,8 +22,7 @@ NOT_WRITTEN = {
     "recipe/resolve/frame_setups.py": "of a recipe, whose numbers are finite, as a key",
     "dataset/store/drawn_columns.py": "of lists of a recipe, whose numbers are finite",
     "dataset/store/manifest.py": "of single values, as text of a column",
-    "review/check/one_frame.py": "of digests, for a digest",
-    "review/check/tables.py": "of what a file says, for a digest",
+    "review/check/one_frame.py": "of digests and rows of tables, for a digest",
     "recipe/variation/varied.py": "of outcomes, as a key",
 }
 """Modules whose JSON text is no file and no output."""

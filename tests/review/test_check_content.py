@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from disc_set import HEIGHT, WIDTH, change_expectations, change_image, find, kinds_of, sign
+from disc_set import HEIGHT, WIDTH, change_expectations, change_image, find, find_in_frame, kinds_of, sign
 
 from pepperscene.atomic import write_json
 from pepperscene.dataset.store.dataset import open_dataset
@@ -15,8 +15,10 @@ from pepperscene.dataset.store.images import read_image
 from pepperscene.outputs import OUTPUTS
 from pepperscene.recipe.tables import ExpectTable
 from pepperscene.review.check import check_dataset
+from pepperscene.review.check.notes import outlier_scenes
 from pepperscene.review.check.one_frame import FrameTraits
-from pepperscene.review.check.whole_set import CrossFrameChecks
+from pepperscene.review.check.whole_set import check_expectations
+from pepperscene.truth.encodings import encode_rle
 
 
 def put(value, position=(slice(0, 3), slice(0, 3))):
@@ -84,33 +86,37 @@ def test_finds_encodings_that_do_not_match(folder):
 def test_finds_impossible_value(full_folder, output, value):
     rows, columns = np.nonzero(read_image(full_folder / "instance/000002.png"))
     rightmost = np.argsort(columns)[-1]
-    change_image(full_folder, 2, output, put(value, (rows[rightmost], columns[rightmost])))
-    assert ("value", 2, f"{output}/000002{OUTPUTS[output].suffix}") in find(full_folder)
+    change_image(full_folder, 2, output, put(value, (rows[rightmost], columns[rightmost])), False)
+    assert ("value", 2, f"{output}/000002{OUTPUTS[output].suffix}") in find_in_frame(full_folder, 2)
 
 
 def test_finds_position_at_another_distance(full_folder):
-    change_image(full_folder, 2, "position", lambda image: image + np.float32(0.01))
-    assert find(full_folder) == {("value", 2, "position/000002.exr")}
+    change_image(full_folder, 2, "position", lambda image: image + np.float32(0.01), False)
+    assert find_in_frame(full_folder, 2) == {("value", 2, "position/000002.exr")}
 
 
 def test_finds_harvest_that_contradicts_the_labels(full_folder):
     instance = read_image(full_folder / "instance/000002.png")
     number = int(instance[instance > 0][0])
     pixels = int((instance == number).sum())
+    mask = encode_rle(instance == number)
     fruit = {
-        "instance": number,
-        "visible_pixels": pixels,
-        "amodal_pixels": pixels,
-        "amodal": {"size": [HEIGHT, WIDTH], "counts": [0, pixels, HEIGHT * WIDTH - pixels]},
-    }
+        "instance": number, "kind": "fruit", "plant": 0, "phytomer": 1, "visible_fraction": 1.0,
+        "visible_pixels": pixels, "amodal_pixels": pixels, "amodal": mask, "truncated": False,
+        "occluders": [], "box": None, "amodal_box": None, "pose": np.eye(4).tolist(), "peduncle": None,
+        "approach": None,
+    }  # fmt: skip
     path = full_folder / "harvest/000002.json"
     harvest = json.loads(path.read_text())
-    for changes, good in (({}, True), ({"visible_pixels": pixels + 1}, False), ({"amodal_pixels": 0}, False)):
+    for changes, kind in (
+        ({}, ""),
+        ({"visible_pixels": pixels - 1}, "contradiction"),
+        ({"amodal_pixels": pixels + 1}, "contradiction"),
+        ({"visible_pixels": "many"}, "damaged"),
+    ):
         write_json(path, {**harvest, "fruit": [{**fruit, **changes}]})
-        # The table of fruit needs more values of a fruit than these.
         sign(full_folder, 2, tables=False)
-        findings = {finding for finding in find(full_folder) if finding[2] == "harvest/000002.json"}
-        assert findings == (set() if good else {("contradiction", 2, "harvest/000002.json")})
+        assert find_in_frame(full_folder, 2) == ({(kind, 2, "harvest/000002.json")} if kind else set())
 
 
 @pytest.mark.parametrize(
@@ -192,12 +198,12 @@ def test_finds_invalid_expectation(folder):
     assert find(folder) == {("damaged", None, "dataset.json")}
 
 
-def accumulate(values, expect=None):
-    """Checks of frames given by their scene and their fraction of leaf pixels."""
-    checks = CrossFrameChecks(expect)
-    for index, (scene, leaf) in enumerate(values):
-        assert list(checks.add(FrameTraits(index, scene, fractions=(1 - leaf, leaf, *[0.0] * 6)))) == []
-    return checks
+def frames_of(values):
+    """Traits of frames given by their scene and their fraction of leaf pixels."""
+    return [
+        FrameTraits(index, scene, fractions=(1 - leaf, leaf, *[0.0] * 6))
+        for index, (scene, leaf) in enumerate(values)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -205,18 +211,20 @@ def accumulate(values, expect=None):
 )
 def test_part_of_a_plan_drifts_only_beyond_chance(scenes, mean, drifts):
     rng = np.random.default_rng(4)
-    values = [(scene, mean + rng.normal(0, 0.07)) for scene in range(scenes)]
-    checks = accumulate(values, ExpectTable(share={"leaf": (0.4, 0.6)}))
-    assert bool(list(checks.drift(whole=False))) == drifts
+    frames = frames_of([(scene, mean + rng.normal(0, 0.07)) for scene in range(scenes)])
+    expect = ExpectTable(share={"leaf": (0.4, 0.6)})
+    assert bool(list(check_expectations(frames, expect, whole=False))) == drifts
     # For the whole plan there is no tolerance.
-    assert list(checks.drift(whole=True))
+    assert list(check_expectations(frames, expect, whole=True))
 
 
 def test_outlier_scene_is_a_note():
     rng = np.random.default_rng(5)
     scenes = [1000 * (index // 30) + index % 10 for index in range(60)]
-    checks = accumulate([(scene, 0.9 if scene == 1004 else rng.normal(0.5, 0.02)) for scene in scenes])
-    assert list(checks.drift(whole=True)) == []
-    notes = list(checks.outlier_scenes())
+    notes = list(
+        outlier_scenes(
+            frames_of([(scene, 0.9 if scene == 1004 else rng.normal(0.5, 0.02)) for scene in scenes])
+        )
+    )
     assert notes
     assert all(note.startswith("set 1, rotation 4 is an outlier") for note in notes)

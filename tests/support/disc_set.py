@@ -15,6 +15,7 @@ from pepperscene.dataset.store.images import read_image, write_image
 from pepperscene.frame import Frame
 from pepperscene.outputs import TRAIT_OUTPUTS
 from pepperscene.review.check import check_dataset
+from pepperscene.review.check.one_frame import FrameChecker
 from pepperscene.truth import class_colour, distance_code
 from pepperscene.truth.encodings import encode_rle
 
@@ -101,6 +102,8 @@ def instance_entries(instance, classes):
         entries[str(number)] = {
             "class": int(classes[rows[0], columns[0]]),
             "kind": "disc",
+            "plant": 0,
+            "phytomer": 1,
             "parent": 0,
             "pixels": len(rows),
             "box": [int(edge) for edge in box],
@@ -156,16 +159,22 @@ def rewrite_manifest(folder):
     open_dataset(folder).write_tables()
 
 
-def change_image(folder, index, output, change):
+def change_image(folder, index, output, change, tables=True):
     """Replace an image of a frame, with a consistent JSON."""
     path = folder / open_dataset(folder).metadata(index)["outputs"][output]["file"]
     write_image(path, change(read_image(path).copy()), output)
-    sign(folder, index)
+    sign(folder, index, tables=tables)
 
 
 def find(folder, **arguments):
     """Kind, frame and file of each finding."""
     findings = check_dataset(folder, workers=1, **arguments).findings
+    return {(finding.kind, finding.index, finding.file) for finding in findings}
+
+
+def find_in_frame(folder, index):
+    """Kind, frame and file of the findings of a single frame, which takes a sixth of the time."""
+    findings, _ = FrameChecker(open_dataset(folder)).check(index)
     return {(finding.kind, finding.index, finding.file) for finding in findings}
 
 

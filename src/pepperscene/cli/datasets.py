@@ -40,7 +40,8 @@ def check(
     ] = None,
     rows: Annotated[int, typer.Option(min=1, help="Print at most this many faults of each kind.")] = 10,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Processes that read frames. Default: one per core.")
+        int | None,
+        typer.Option(metavar="N", help="Threads that read frames. Default: one per core, at most 8."),
     ] = None,
     json: JsonOption = False,
 ) -> None:

@@ -29,7 +29,8 @@ _MAX_LINE: Final = 4096  # chosen: bytes; a line has two hundred
 def append_timings(folder: Path, row: Mapping[str, Any]) -> None:
     """Append the timings of a frame, by its row in the manifest; raises `OSError` if that fails."""
     path = folder / JOURNAL
-    line = json.dumps({name: row.get(name) for name in ("index", "checksum", *TIMINGS)}).encode() + b"\n"
+    entry = {name: row.get(name) for name in ("index", "checksum", *TIMINGS)}
+    line = json.dumps(entry, allow_nan=False).encode() + b"\n"
     with path.open("ab", buffering=0) as file:
         if file.write(line) != len(line):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from pepperscene.dataset.store.rendering_error import RenderingErrors
-from pepperscene.recipe.exposure import AUTO
+from pepperscene.recipe.camera_tables import AUTO
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.variation.goodness_of_fit import as_number, distinct_draws, goodness_of_fit
 from pepperscene.recipe.variation.recorded import read_variation, recorded_twins
@@ -40,11 +40,8 @@ def notes(frames: Sequence[FrameTraits], info: Mapping[str, Any]) -> Iterator[st
     """
     yield from outlier_scenes(frames)
     if info:
-        yield from _unlikely_draws(frames, info["recipe"])
-    if "expect" not in info:
-        # Expectations are checked elsewhere.
-        yield from brightness(frames, info)
-    yield from exposure_limits(frames)
+        yield from unlikely_draws(frames, info["recipe"])
+    yield from exposure_notes(frames, info)
     errors = RenderingErrors()
     for frame in frames:
         errors.add(*(frame.sampling.get(name) for name in ("target", "error_codes", "noise_codes")))
@@ -67,7 +64,7 @@ def outlier_scenes(frames: Sequence[FrameTraits]) -> Iterator[str]:
                 yield f"set {set_index}, rotation {rotation} is an outlier: {text}"
 
 
-def _unlikely_draws(frames: Sequence[FrameTraits], recipe: Mapping[str, Any]) -> Iterator[str]:
+def unlikely_draws(frames: Sequence[FrameTraits], recipe: Mapping[str, Any]) -> Iterator[str]:
     """Yield a note for each value whose draws do not fit its distribution."""
     plan, twins = Plan.model_validate(recipe["plan"]), recorded_twins(recipe)
     inside = [frame for frame in frames if frame.index < plan.count]
@@ -86,8 +83,21 @@ def _unlikely_draws(frames: Sequence[FrameTraits], recipe: Mapping[str, Any]) ->
             )
 
 
-def brightness(frames: Sequence[FrameTraits], info: Mapping[str, Any]) -> Iterator[str]:
-    """Yield at most one note on photographs that are dark or overexposed on average."""
+def exposure_notes(frames: Sequence[FrameTraits], info: Mapping[str, Any]) -> Iterator[str]:
+    """Yield at most one note on the mean brightness, and one on limits of automatic exposure."""
+    if "expect" not in info:
+        # The recipe's expectations are checked elsewhere.
+        yield from _brightness(frames, info)
+    automatic = [frame.automatic for frame in frames if frame.automatic]
+    reached = [limit for exposure in automatic if (limit := exposure.get("limited_by")) is not None]
+    if reached:
+        limits = Counter(str(limit)[:_LONGEST_NAME] for limit in reached)
+        listing = ", ".join(f"{count} {name}" for name, count in sorted(limits.items()))
+        number = f"{len(reached)} of {len(automatic)} automatic exposures"
+        yield f"{number} reached a limit ({listing}), so their grey is not auto_exposure.target_grey"
+
+
+def _brightness(frames: Sequence[FrameTraits], info: Mapping[str, Any]) -> Iterator[str]:
     photos = [(frame.mean, frame.saturated) for frame in frames if frame.mean is not None]
     if not photos:
         return
@@ -106,14 +116,3 @@ def _advice(is_auto: bool, length: str, change: str) -> str:
     if is_auto:
         return f"{change} auto_exposure.target_grey, or widen auto_exposure.exposure_us"
     return f'set a {length} camera.exposure_us, or exposure_us = "auto"'
-
-
-def exposure_limits(frames: Sequence[FrameTraits]) -> Iterator[str]:
-    """Yield at most one note on limits that automatic exposures reached."""
-    automatic = [frame.automatic for frame in frames if frame.automatic]
-    reached = [limit for exposure in automatic if (limit := exposure.get("limited_by")) is not None]
-    if reached:
-        limits = Counter(str(limit)[:_LONGEST_NAME] for limit in reached)
-        listing = ", ".join(f"{count} {name}" for name, count in sorted(limits.items()))
-        number = f"{len(reached)} of {len(automatic)} automatic exposures"
-        yield f"{number} reached a limit ({listing}), so their grey is not auto_exposure.target_grey"

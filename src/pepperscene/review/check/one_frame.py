@@ -44,8 +44,11 @@ from pepperscene.truth.encodings import is_class_id
 from pepperscene.user_files import MissingFileError, open_file
 
 _PHOTOS: Final = ("colour", "colour_stereo")
-_OBJECTS: Final[Mapping[str, type[BaseModel]]] = {"harvest": HarvestFields, "amodal": AmodalFields}
-"""Models of the outputs that are JSON objects."""
+_OBJECTS: Final[Mapping[str, tuple[type[BaseModel], str]]] = {
+    "harvest": (HarvestFields, "pepperscene harvest 1"),
+    "amodal": (AmodalFields, "pepperscene amodal 1"),
+}
+"""Models and formats of the outputs that are JSON objects."""
 
 Problem = tuple[str, str, str]
 """Kind, output ("" for the frame's JSON) and description."""
@@ -262,7 +265,10 @@ def _read_output(
             # Only now: the content of a damaged file says nothing about the rendered image.
             images[output] = read_image(path, within=dataset.folder)
             if output in _OBJECTS:
-                validate(_OBJECTS[output], images[output], "")
+                model, format_name = _OBJECTS[output]
+                if images[output].get("format") != format_name:
+                    raise InputError("", f"must have the format {format_name!r}")
+                validate(model, images[output], "")
     except MissingFileError:
         yield "missing", output, "does not exist"
     except OSError as error:
