@@ -9,6 +9,7 @@ from dataclasses import replace
 import colour
 import numpy as np
 import pytest
+from camera_colours import chart_delta_e
 
 from pepperscene.camera import load_filter, load_flash, load_sensor
 from pepperscene.camera.image.colorimetry import (
@@ -124,14 +125,8 @@ def test_raises_on_monochromatic_light():
 
 def test_infrared_cut_improves_the_colours(infrared_sensor):
     cut = load_filter("schott_22022010").transmittance
-    bare, filtered = (
-        colour_correction(sensor, d65_spectrum())
-        for sensor in (infrared_sensor, infrared_sensor.with_filter(cut))
-    )
-    for correction in (bare, filtered):
-        np.testing.assert_allclose(correction.matrix.sum(axis=1), 1)
-        assert np.isfinite(correction.matrix).all()
-    assert filtered.mean_delta_e_2000 < 2.5 < bare.mean_delta_e_2000
+    filtered = chart_delta_e(infrared_sensor.with_filter(cut), d65_spectrum())
+    assert filtered < 2.5 < chart_delta_e(infrared_sensor, d65_spectrum())
 
 
 def test_illuminance_and_correction_do_not_import_colour_science():
@@ -140,8 +135,7 @@ def test_illuminance_and_correction_do_not_import_colour_science():
         "from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum())\n"
         "from pepperscene.camera.image.colorimetry import d65_spectrum\n"
         "from pepperscene.camera.image.colour_correction import colour_correction\n"
-        "correction = colour_correction(load_sensor('ueye_ui5250re'), d65_spectrum())\n"
+        "colour_correction(load_sensor('ueye_ui5250re'), d65_spectrum())\n"
         "assert 'colour' not in sys.modules\n"
-        "assert 0 < correction.mean_delta_e_2000 < 10 and 'colour' in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

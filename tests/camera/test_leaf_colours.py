@@ -6,7 +6,6 @@ for the observer are computed by colour-science.
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import colour
@@ -17,6 +16,7 @@ from camera_colours import (
     FLASH,
     NM,
     SENSOR_NAMES,
+    chart_delta_e,
     chroma,
     delta_e,
     lab_of_rgb,
@@ -106,7 +106,7 @@ def test_models_are_like_measured_cameras():
         correction = colour_correction(sensor, DAYLIGHT)
         lab = rendered_lab(sensor, DAYLIGHT, LEAVES, correction)
         true = observer_lab(DAYLIGHT.at(NM), LEAVES)
-        return correction.mean_delta_e_2000, delta_e(true, lab).mean()
+        return chart_delta_e(sensor, DAYLIGHT), delta_e(true, lab).mean()
 
     measured = np.array([errors(measured_camera(name)) for name in MEASURED])
     assert len(measured) == 8
@@ -134,11 +134,6 @@ def test_ev76c570_model_is_computed_from_its_sources():
     assert columns["g"].values.max() == pytest.approx(0.47 * 0.93, abs=1e-4)
 
 
-def test_matrix_is_fitted_quickly_and_once():
+def test_matrix_is_fitted_once():
     sensor = load_sensor("nikon_d5100")
-    first = colour_correction(sensor, FLASH)  # imports SciPy, and makes the leaves
-    assert colour_correction(sensor, FLASH) is first
-    other = load_sensor("nikon_d5100")
-    begin = time.process_time()
-    colour_correction(other, FLASH)
-    assert time.process_time() - begin < 1.0  # a hundredth of this on an idle machine
+    assert colour_correction(sensor.with_settings(gain=2.0), FLASH) is colour_correction(sensor, FLASH)

@@ -10,7 +10,7 @@ from pepperscene.camera import encode_tone
 from pepperscene.camera.image.colorimetry import XYZ_TO_SRGB
 from pepperscene.colour import calibrate, delta_e_2000, linear_srgb_to_lab
 from pepperscene.colour.patches.chart import chart_linear, chart_names
-from pepperscene.colour.patches.chart_detection import apply_homography, grid_corners, homography
+from pepperscene.colour.patches.chart_detection import grid_corners, map_points
 from pepperscene.errors import InputError
 from pepperscene.spectra import colour_science
 
@@ -41,7 +41,7 @@ def draw_chart(
             linear[y : y + h, x : x + w] = rng.uniform(0.02, 0.6, 3)
         linear[:, 560:] = rng.uniform(0.0, 0.5, (480, 80, 3))
     x, y = np.meshgrid(np.arange(640) + 0.5, np.arange(480) + 0.5)
-    place = apply_homography(homography(np.array(corners, float), grid_corners()), np.stack([x, y], axis=-1))
+    place = map_points(np.stack([x, y], axis=-1), np.array(corners, float), grid_corners())
     linear[((place > -0.25) & (place < [6.25, 4.25])).all(axis=-1)] = 0.02
     cell = np.floor(place)
     field = ((np.abs(place - cell - 0.5) < 0.435) & (cell >= 0) & (cell < [6, 4])).all(axis=-1)

@@ -8,7 +8,15 @@ import colour
 import numpy as np
 
 from pepperscene.camera import Sensor, load_flash, load_sensor
-from pepperscene.camera.image.colorimetry import d65_spectrum
+from pepperscene.camera.image.colorimetry import NM as ALL_NM
+from pepperscene.camera.image.colorimetry import (
+    SRGB_TO_XYZ,
+    adapted_xyz,
+    colour_checker_reflectances,
+    d65_spectrum,
+    xyz_to_lab,
+)
+from pepperscene.camera.image.colour_correction import balanced_rgb, colour_correction
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum, read_spectra
 
@@ -62,3 +70,10 @@ def chroma(lab: np.ndarray) -> np.ndarray:
 def delta_e(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """CIEDE2000 colour differences."""
     return np.asarray(colour.delta_E(a, b, method="CIE 2000"))
+
+
+def chart_delta_e(sensor: Sensor, light: Spectrum) -> float:
+    """Mean CIEDE2000 of the ColorChecker, of which the fit of the sensor's matrix consists in part."""
+    chart, matrix = colour_checker_reflectances().at(ALL_NM), colour_correction(sensor, light).matrix
+    rendered = xyz_to_lab(balanced_rgb(sensor, light, chart) @ matrix.T @ SRGB_TO_XYZ.T)
+    return float(delta_e(xyz_to_lab(adapted_xyz(light, chart)), rendered).mean())

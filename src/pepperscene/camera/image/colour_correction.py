@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,7 @@ from pepperscene.camera.image.colorimetry import (
 )
 from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.errors import InputError
-from pepperscene.spectra import MEAN_LEAF, Spectrum, colour_science, leaf_spectra, sky_spectrum
+from pepperscene.spectra import MEAN_LEAF, Spectrum, leaf_spectra, sky_spectrum
 from pepperscene.spectra.lights import SkyKind
 
 Array = NDArray[np.float64]
@@ -57,18 +57,10 @@ class ColourCorrection:
     Attributes:
         gains: `(3,)` white balance; the smallest is 1.
         matrix: `(3, 3)` colour correction matrix (CCM), applied after the gains; its rows sum to 1.
-        chart_lab: `(2, 24, 3)` CIELAB of the chart, of which the fit consists in part: target and result.
     """
 
     gains: Array
     matrix: Array
-    chart_lab: Array = field(repr=False)
-
-    @cached_property
-    def mean_delta_e_2000(self) -> float:
-        """Mean CIEDE2000 residual on the chart."""
-        target, result = self.chart_lab
-        return float(np.mean(colour_science().delta_E(target, result, method="CIE 2000")))
 
 
 def colour_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
@@ -106,10 +98,9 @@ def _fitted_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
         allowed = "needs a visible reference light; leave the colour matrix out"
         raise InputError(sensor.name, allowed, key="colour_matrix", value=True)
     chart = colour_checker_reflectances().at(NM)
-    rgb, xyz = balanced_rgb(sensor, light, chart), adapted_xyz(light, chart)
     matrix = _fit_matrix(
         [
-            (rgb, xyz, 1.0),
+            (balanced_rgb(sensor, light, chart), adapted_xyz(light, chart), 1.0),
             (balanced_rgb(sensor, light, _leaves()), adapted_xyz(light, _leaves()), _LEAF_WEIGHT),
             (*_daylights(sensor, light), _DAYLIGHT_WEIGHT),
         ]
@@ -117,7 +108,7 @@ def _fitted_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
     if np.abs(matrix).max() > _LARGEST_ENTRY:
         allowed = "needs a reference light of more colours; leave the colour matrix out"
         raise InputError(sensor.name, allowed, key="colour_matrix", value=True)
-    return ColourCorrection(gains, matrix, np.stack([xyz_to_lab(xyz), _rendered_lab(rgb, matrix)]))
+    return ColourCorrection(gains, matrix)
 
 
 def white_balance_gains(sensor: Sensor, light: Spectrum) -> Array:
@@ -181,11 +172,6 @@ def _daylights(sensor: Sensor, light: Spectrum) -> tuple[Array, Array]:
     return rgb, np.stack([adapted_white(daylight, light) for daylight in lights])
 
 
-def _rendered_lab(rgb: Array, matrix: Array) -> Array:
-    """`(m, 3)` CIELAB of balanced camera_rgb after the matrix."""
-    return xyz_to_lab(rgb @ matrix.T @ SRGB_TO_XYZ.T)
-
-
 def _fit_matrix(samples: list[tuple[Array, Array, float]]) -> Array:
     """`(3, 3)` matrix with rows that sum to 1, from balanced camera_rgb to linear sRGB.
 
@@ -207,6 +193,8 @@ def _fit_matrix(samples: list[tuple[Array, Array, float]]) -> Array:
     weight = np.concatenate([np.full(len(rgb), weight / np.sqrt(len(rgb))) for rgb, _, weight in samples])
 
     def errors(free: Array) -> Array:
-        return np.asarray(((_rendered_lab(colours, matrix(free)) - target) * weight[:, None]).ravel())
+        return np.asarray(
+            ((xyz_to_lab(colours @ matrix(free).T @ SRGB_TO_XYZ.T) - target) * weight[:, None]).ravel()
+        )
 
     return matrix(least_squares(errors, start).x)

@@ -39,29 +39,15 @@ _SEARCH_RADIUS: Final = 0.25  # in steps of the grid, around the predicted centr
 _MIN_FIELDS: Final = 14  # of the 24; the others follow from the grid
 
 
-def homography(source: Floats, target: Floats) -> Floats:
-    """`(3, 3)` homography that maps points `(n, 2)` to others, n >= 4, by least squares.
+def map_points(points: Floats, source: Floats, target: Floats) -> Floats:
+    """Map points `(..., 2)` by the homography that maps `source` `(n, 2)` to `target`, n >= 4, best.
 
     The normalised direct linear transform (Hartley & Zisserman 2004, "Multiple view geometry", section 4.1).
     """
-    (from_points, from_matrix), (to_points, to_matrix) = _normalise(source), _normalise(target)
-    x, y = from_points.T
-    u, v = to_points.T
-    zero, unit = np.zeros_like(x), np.ones_like(x)
-    rows = np.concatenate(
-        [
-            np.stack([x, y, unit, zero, zero, zero, -u * x, -u * y, -u], axis=1),
-            np.stack([zero, zero, zero, x, y, unit, -v * x, -v * y, -v], axis=1),
-        ]
-    )
-    matrix = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    return np.asarray(np.linalg.inv(to_matrix) @ matrix @ from_matrix)
+    from skimage.transform import estimate_transform
 
-
-def apply_homography(matrix: Floats, points: Floats) -> Floats:
-    """Map points `(..., 2)`."""
-    homogeneous = points @ matrix[:, :2].T + matrix[:, 2]
-    return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:])
+    transform = estimate_transform("projective", source, target)
+    return np.asarray(transform(points.reshape(-1, 2)).reshape(points.shape))
 
 
 def grid_corners(columns: int = COLUMNS, rows: int = ROWS) -> Floats:
@@ -84,7 +70,7 @@ def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice,
     right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int), [shape[1], shape[0]])
     step = 1 + int(np.sqrt((right - left) * (bottom - top) / _MAX_CHART_PX))
     columns, rows = np.meshgrid(np.arange(left, right, step) + 0.5, np.arange(top, bottom, step) + 0.5)
-    position = apply_homography(homography(corners, grid_corners()), np.stack([columns, rows], axis=-1))
+    position = map_points(np.stack([columns, rows], axis=-1), corners, grid_corners())
     cell = np.floor(position)
     central = (np.abs(position - cell - 0.5) <= _HALF_CENTRE).all(axis=-1)
     inside = central & (cell >= 0).all(axis=-1) & (cell < [COLUMNS, ROWS]).all(axis=-1)
@@ -97,14 +83,6 @@ def orientations(corners: Floats) -> Iterator[Floats]:
     for order in (corners, corners[::-1]):
         for rotation in range(4):
             yield np.roll(order, -rotation, axis=0)
-
-
-def _normalise(points: Floats) -> tuple[Floats, Floats]:
-    """Points of mean 0 and mean norm sqrt(2), and the matrix that normalises them."""
-    centre = points.mean(axis=0)
-    scale = np.sqrt(2.0) / np.linalg.norm(points - centre, axis=1).mean()
-    matrix = np.array([[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0.0, 0.0, 1.0]])
-    return (points - centre) * scale, matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +110,12 @@ def find_chart(picture: NDArray[np.uint8], where: str | Path) -> Floats:
         problem = "shows no ColorChecker that can be detected: give the four corners of its fields"
         raise InputError(where, problem, key="chart")
     cells, centres = max(grids, key=lambda grid: (len(grid[0]), -_misfit(*grid)))
-    return apply_homography(homography(cells + 0.5, centres), _outline(cells)) * scale
+    return map_points(_outline(cells), cells + 0.5, centres) * scale
 
 
 def _misfit(cells: Floats, centres: Floats) -> float:
     """Mean distance of the fields from their positions on the grid."""
-    predicted = apply_homography(homography(cells + 0.5, centres), cells + 0.5)
+    predicted = map_points(cells + 0.5, cells + 0.5, centres)
     return float(np.linalg.norm(predicted - centres, axis=1).mean())
 
 
