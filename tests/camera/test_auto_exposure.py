@@ -265,7 +265,7 @@ def chosen_with_a_rolling_shutter(line_time_s):
     flash, day = grey_card(linear_value(200.0) / FLASH.pulse_s), grey_card(linear_value(90.0) / 5e-3)
     chosen = choose_exposure(camera, day, flash, ExposureControl())
     used = with_exposure(camera, chosen)
-    share = used.shutter.flash_share(FLASH.pulse_s)
+    share = used.shutter.flash_fraction(FLASH.pulse_s)
     light = day[0, 0] + flash[0, 0] * used.flash_duty * share[:, None, None]
     full = np.broadcast_to(light, (SENSOR.rows, SENSOR.columns, 3))
     return chosen, develop(expected_electrons(full, used), used).mean()

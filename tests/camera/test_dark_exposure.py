@@ -59,7 +59,7 @@ def plant(camera, level):
 def stated_and_developed(camera, daylight, flash, control):
     chosen = choose_exposure(camera, daylight, flash, control)
     used = with_exposure(camera, chosen)
-    share = used.shutter.flash_share(FLASH.pulse_s)[:, None, None]
+    share = used.shutter.flash_fraction(FLASH.pulse_s)[:, None, None]
     signal = daylight + flash * used.flash_duty * share
     image = develop(image_electrons(signal.astype(np.float32), used), used, np.random.default_rng(2))
     return chosen, image.mean()

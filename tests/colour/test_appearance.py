@@ -12,7 +12,7 @@ from pepperscene.colour import compare, linear_srgb_to_lab
 from pepperscene.colour.appearance import (
     circular_median,
     coherence,
-    gloss_share,
+    gloss_fraction,
     gradient_ratio,
     histogram_percentiles,
     patch_grid,
@@ -94,10 +94,12 @@ def test_patches_are_inside_one_region():
 def test_gloss_is_brighter_and_less_saturated():
     luminance, saturations = np.full(100, 0.1), np.full(100, 0.6)
     luminance[:10], saturations[:5] = 0.3, 0.2
-    assert gloss_share(luminance, saturations) == pytest.approx(0.05)
+    assert gloss_fraction(luminance, saturations) == pytest.approx(0.05)
     saturations[:] = 0.6
-    assert gloss_share(luminance, saturations) == 0.0
-    assert gloss_share(np.stack([luminance, luminance]), np.stack([saturations, saturations])).shape == (2,)
+    assert gloss_fraction(luminance, saturations) == 0.0
+    assert gloss_fraction(np.stack([luminance, luminance]), np.stack([saturations, saturations])).shape == (
+        2,
+    )
 
 
 @pytest.mark.parametrize("exponent", [0.0, -1.0, -2.0, -3.0])

@@ -310,11 +310,11 @@ def test_memory_does_not_grow_with_the_set():
 
     sums = measure_set(B, None)
     for picture in variants(32):
-        sums.add_picture(picture, classes)
+        sums.add_image(picture, classes)
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
     for picture in variants(160):
-        sums.add_picture(picture, classes)
+        sums.add_image(picture, classes)
     growth = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     # At most the pending vectors, of 10 thousand numbers each.

@@ -147,7 +147,7 @@ def brute_force_share(shutter: Shutter, pulse_s: float) -> np.ndarray:
 )
 def test_rows_see_the_overlap_of_pulse_and_exposure(exposure_s, line_time_s, pulse_s, evenly):
     shutter = Shutter(exposure_s, line_time_s, 100)
-    share = shutter.flash_share(pulse_s)
+    share = shutter.flash_fraction(pulse_s)
     np.testing.assert_allclose(share, brute_force_share(shutter, pulse_s), atol=0.02)
     windows, exposures = shutter.flash_windows(pulse_s), shutter.exposures()
     assert (windows.begin_s >= exposures.begin_s - 1e-12).all()
@@ -158,7 +158,7 @@ def test_rows_see_the_overlap_of_pulse_and_exposure(exposure_s, line_time_s, pul
 def test_light_of_a_pulse_among_rows_is_conserved():
     # Exposed for less than the readout: each instant of the pulse lights exposure / line time rows.
     shutter = Shutter(5e-4, 1e-5, 400)
-    share = shutter.flash_share(3e-4)
+    share = shutter.flash_fraction(3e-4)
     begin = shutter.pulse_begin(3e-4)
     instants = begin + (np.arange(1000) + 0.5) / 1000 * 3e-4
     exposures = shutter.exposures()

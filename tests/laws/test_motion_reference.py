@@ -65,7 +65,7 @@ def test_light_of_a_moving_camera_equals_the_reference(case):
     with pytest.raises(AssertionError):
         assert_agree(still, paths)
     if view.flash is not None:
-        is_uneven = (view.shutter.flash_share(view.flash.pulse_s) < 1.0).any()
+        is_uneven = (view.shutter.flash_fraction(view.flash.pulse_s) < 1.0).any()
         assert is_uneven == (view.sensor.line_time_s > 0.0)
         daylight = frames(renderer, replace(view, flash=None), OURS, range(1)).mean() / ours.mean()
         assert 0.2 < daylight < 0.8

@@ -168,7 +168,7 @@ def coherence(tensors: ArrayLike) -> Floats:
         return np.asarray((greater - lesser) / (greater + lesser))
 
 
-def gloss_share(luminance: ArrayLike, saturations: ArrayLike) -> Floats:
+def gloss_fraction(luminance: ArrayLike, saturations: ArrayLike) -> Floats:
     """Fraction of an organ's pixels that are both brighter and less saturated than its median.
 
     Brighter means by `GLOSS_FACTOR` in linear luminance, less saturated means at most `GLOSS_SATURATION`

@@ -101,7 +101,7 @@ def white_light(camera: Camera, scene: Scene, panel: WhiteReference) -> Array:
     daylight, flash = (light @ weights for light in _irradiance(response, camera, scene, panel))
     share = np.ones(camera.height)
     if camera.flash is not None:
-        share = camera.shutter.flash_share(camera.flash.pulse_s)
+        share = camera.shutter.flash_fraction(camera.flash.pulse_s)
     return np.asarray(panel.reflectance / np.pi * (daylight + share[:, None] * flash))
 
 

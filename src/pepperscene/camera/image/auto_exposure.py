@@ -217,7 +217,7 @@ def _grey_predictor(camera: Camera, daylight: Floats, flash: Floats, metering: M
     area = (camera.sensor.pitch_m / small.sensor.pitch_m) ** 2
     daylight, flash = (expected_electrons(light, small) * area for light in (daylight, flash))
     # The rows of a rolling shutter that see the flash depend on the exposure, and so does its stray light.
-    if camera.developing.stray_light and not _has_flash_shares(camera):
+    if camera.developing.stray_light and not _has_flash_fractions(camera):
         daylight, flash = (np.asarray(add_stray_light(light, small), float) for light in (daylight, flash))
 
     fine = _mean_grey(camera, daylight, flash, metering)
@@ -251,10 +251,10 @@ def _mean_grey(camera: Camera, daylight: Floats, flash: Floats, metering: Meteri
 
     def grey_at(exposure_s: float, gain: float, factor: float) -> float:
         flashed = flash * min(pulse_s, exposure_s)
-        if _has_flash_shares(camera):
-            flashed = flashed * _flash_shares(camera, exposure_s, rows)[:, None, None]
+        if _has_flash_fractions(camera):
+            flashed = flashed * _flash_fractions(camera, exposure_s, rows)[:, None, None]
         electrons = daylight * exposure_s + flashed
-        if _has_flash_shares(camera) and camera.developing.stray_light:
+        if _has_flash_fractions(camera) and camera.developing.stray_light:
             electrons = np.asarray(add_stray_light(electrons, small), float)
         sensor = camera.sensor if gain == camera.sensor.gain else camera.sensor.with_settings(gain=gain)
         codes = expected_image(factor * electrons, dataclasses.replace(camera, sensor=sensor))
@@ -263,15 +263,15 @@ def _mean_grey(camera: Camera, daylight: Floats, flash: Floats, metering: Meteri
     return grey_at
 
 
-def _has_flash_shares(camera: Camera) -> bool:
+def _has_flash_fractions(camera: Camera) -> bool:
     """Whether some rows can see less of the flash than others."""
     return camera.flash is not None and camera.sensor.line_time_s > 0
 
 
-def _flash_shares(camera: Camera, exposure_s: float, rows: int) -> Floats:
-    """`(h,)` means over the rows of a reduced image of `Shutter.flash_share` at an exposure time."""
+def _flash_fractions(camera: Camera, exposure_s: float, rows: int) -> Floats:
+    """`(h,)` means over the rows of a reduced image of `Shutter.flash_fraction` at an exposure time."""
     pulse_s = 0.0 if camera.flash is None else camera.flash.pulse_s
-    share = dataclasses.replace(camera.shutter, exposure_s=exposure_s).flash_share(pulse_s)
+    share = dataclasses.replace(camera.shutter, exposure_s=exposure_s).flash_fraction(pulse_s)
     # Differences of the integral, as a row of the reduced image need not be a whole number of rows.
     integral = np.concatenate([[0.0], np.cumsum(share)])
     borders = np.interp(np.linspace(0.0, camera.height, rows + 1), np.arange(camera.height + 1), integral)

@@ -113,6 +113,6 @@ class Shutter:
         length[np.isclose(length, longest, rtol=1e-9, atol=0.0)] = longest
         return RowWindows(start, np.clip(length, 0.0, longest))
 
-    def flash_share(self, pulse_s: float) -> Array:
+    def flash_fraction(self, pulse_s: float) -> Array:
         """`(h,)` fraction that each row sees of the longest possible overlap of pulse and exposure."""
         return self.flash_windows(pulse_s).length_s / min(pulse_s, self.exposure_s)

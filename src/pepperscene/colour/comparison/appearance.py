@@ -17,7 +17,7 @@ from pepperscene.colour.appearance import (
     SPECTRUM_BINS,
     circular_median,
     coherence,
-    gloss_share,
+    gloss_fraction,
     histogram_percentiles,
     lab_hue_deg,
     patch_grid,
@@ -205,7 +205,7 @@ class _Image:
             vector[REGIONS], vector[REGION_SD] = vector[PATCHES], vector[PATCH_SD]
             shape = (len(rows), PATCH_PX**2)
             luminance, saturations = self.luminance[rows, columns], self._saturation[rows, columns]
-            vector[REGION_GLOSS] = gloss_share(luminance.reshape(shape), saturations.reshape(shape)).sum()
+            vector[REGION_GLOSS] = gloss_fraction(luminance.reshape(shape), saturations.reshape(shape)).sum()
         else:
             self._add_regions(vector, regions)
         return vector
@@ -217,7 +217,7 @@ class _Image:
             if number > 0 and pixels.size >= LEAST_REGION_PX:
                 vector[REGIONS] += 1.0
                 vector[REGION_SD] += self._lab[..., 0].ravel()[pixels].std()
-                vector[REGION_GLOSS] += gloss_share(
+                vector[REGION_GLOSS] += gloss_fraction(
                     self.luminance.ravel()[pixels], self._saturation.ravel()[pixels]
                 )
 

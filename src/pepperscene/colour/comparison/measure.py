@@ -36,8 +36,8 @@ DEFAULT_SCALE: Final = Scale()
 _CELLS_TOTAL: Final = CELLS[0] * CELLS[1]
 # Columns of the sums of a kind: hue fractions, images, pixels, linear sRGB, L*a*b* and its squares.
 HUES: Final = slice(0, HUE_BINS + 1)
-PICTURES: Final = HUE_BINS + 1
-PIXELS: Final = PICTURES + 1
+IMAGES: Final = HUE_BINS + 1
+PIXELS: Final = IMAGES + 1
 LINEAR: Final = slice(PIXELS + 1, PIXELS + 4)
 LAB: Final = slice(PIXELS + 4, PIXELS + 7)
 LAB_SQUARED: Final = slice(PIXELS + 7, PIXELS + 10)
@@ -75,7 +75,7 @@ class SetMeasures:
         self.scale = scale
         self.centres: dict[tuple[int, int], int] = {}
 
-    def add_picture(
+    def add_image(
         self,
         colour: NDArray[np.uint8] | None,
         classes: NDArray[np.uint8] | None,
@@ -238,7 +238,7 @@ def measure_set(
         stages = {}
         if picture.colour is not None:
             stages = {kind: mask for kind, mask in organ_regions(images, picture) if "." in kind}
-        sums.add_picture(picture.colour, picture.classes, stages, picture.instances)
+        sums.add_image(picture.colour, picture.classes, stages, picture.instances)
         if on_progress is not None:
             on_progress(sums.units, len(indices))
     return sums

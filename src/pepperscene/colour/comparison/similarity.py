@@ -16,10 +16,10 @@ from pepperscene.colour.comparison.measure import (
     CELLS,
     CLASSES,
     HUES,
+    IMAGES,
     LAB,
     LAB_SQUARED,
     LINEAR,
-    PICTURES,
     PIXELS,
 )
 from pepperscene.colour.statistics import bin_angles, circular_mean, circular_sd, linear_srgb_to_lab
@@ -63,12 +63,12 @@ def estimate_pair(
 
 def hue_spectra(sums: Floats) -> Floats:
     """`(n, 180)` percentage of a kind's pixels at each hue, averaged over images (Fig. 12)."""
-    return 100.0 * sums[:, HUES][:, :HUE_BINS] / sums[:, PICTURES, None]
+    return 100.0 * sums[:, HUES][:, :HUE_BINS] / sums[:, IMAGES, None]
 
 
 def grey_fractions(sums: Floats) -> Floats:
     """`(n,)` fraction of a kind's pixels that are grey, averaged over images."""
-    return np.asarray(sums[:, HUES][:, HUE_BINS] / sums[:, PICTURES])
+    return np.asarray(sums[:, HUES][:, HUE_BINS] / sums[:, IMAGES])
 
 
 def mean_hues(spectra: Floats) -> Floats:

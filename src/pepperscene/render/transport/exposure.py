@@ -41,7 +41,7 @@ def exposure_parts(camera: Camera, *, has_daylight: bool) -> list[ExposurePart]:
     traced together. Otherwise a scene without any light has one part.
     """
     shutter, flash = camera.shutter, camera.flash
-    share = None if flash is None else shutter.flash_share(flash.pulse_s)
+    share = None if flash is None else shutter.flash_fraction(flash.pulse_s)
     if share is not None and (share == 1.0).all():
         share = None
     if not camera.is_moving and share is None:
