@@ -213,6 +213,7 @@ MUTATIONS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mutation", MUTATIONS)
 def test_detects_mutations(problem, vector, differences, monkeypatch, mutation):
     MUTATIONS[mutation](monkeypatch)

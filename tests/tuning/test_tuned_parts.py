@@ -257,7 +257,7 @@ def one_sided_slopes(name, entry, value, step):
 SMOOTH = [name for name in PARAMETERS if name.partition(".")[0] not in ("petiole", "peduncle", "calyx")]
 
 
-@pytest.mark.parametrize("position", ["default", 0.21, 0.83])
+@pytest.mark.parametrize("position", ["default", 0.21, pytest.param(0.83, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", SMOOTH)
 def test_parts_have_no_kinks(name, position):
     """The slopes to either side converge as the step shrinks."""
