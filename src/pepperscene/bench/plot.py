@@ -14,9 +14,8 @@ from pepperscene.bench.settings import ADAPTIVE, NAMED, PATH, PLAIN
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_COLOURS: Final = {"pepperscene": "#0072b2", PATH: "#b07800", PLAIN: "#d55e00"}
-_OTHER_COLOUR: Final = "#00795a"
-"""After Okabe and Ito (2008), for the colour-blind too; two of them darker, for lines on white."""
+_COLOURS: Final = {"pepperscene": "#0072b2", PATH: "#b07800", PLAIN: "#d55e00", "": "#00795a"}
+"""By the start of a family's name; after Okabe and Ito (2008), for the colour-blind too; two are darker."""
 
 _MARKERS: Final = "osD^vP"
 _DASHES: Final[tuple[Any, ...]] = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
@@ -33,6 +32,13 @@ class Panel:
     title: str  # above the panel
     description: str  # below the title
     results: Sequence[BenchResult]  # of all settings
+
+
+@dataclass(frozen=True)
+class _Style:
+    colour: str
+    marker: str
+    dashes: Any
 
 
 def plot_pareto(panels: Sequence[Panel], title: str) -> dict[str, bytes]:
@@ -61,26 +67,18 @@ def plot_pareto(panels: Sequence[Panel], title: str) -> dict[str, bytes]:
             handles.values(), handles.keys(), loc="outside lower center", ncols=columns + 1, frameon=False
         )
         files = {}
-        for file_format in ("png", "svg"):
+        for file_format, metadata in (("png", None), ("svg", {"Date": None})):
             file = io.BytesIO()
-            metadata = {"Date": None} if file_format == "svg" else None
             figure.savefig(file, format=file_format, dpi=150, metadata=metadata)
             files[file_format] = file.getvalue()
         return files
-
-
-@dataclass(frozen=True)
-class _Style:
-    colour: str
-    marker: str
-    dashes: Any
 
 
 def _family_styles(families: Iterable[str]) -> dict[str, _Style]:
     """Colour, marker and dashes by family, the same in all panels."""
     styles: dict[str, _Style] = {}
     for family in dict.fromkeys(families):
-        colour = next((c for start, c in _COLOURS.items() if family.startswith(start)), _OTHER_COLOUR)
+        colour = next(colour for start, colour in _COLOURS.items() if family.startswith(start))
         number = sum(style.colour == colour for style in styles.values()) % len(_MARKERS)
         styles[family] = _Style(colour, _MARKERS[number], _DASHES[number])
     return styles
@@ -95,50 +93,46 @@ def _draw_panel(axes: Axes, panel: Panel, styles: Mapping[str, _Style]) -> dict[
         panel.description, (0.0, 1.0), (0, 5), "axes fraction", "offset points", fontsize=8, color="0.35"
     )
     handles: dict[str, Any] = {}
+    has_limits = False
     for family, style in styles.items():
         members = [result for result in panel.results if result.family == family]
-        measured = sorted(
-            (result for result in members if result.errors.codes.is_measurable),
-            key=lambda result: result.median_s,
-        )
-        limits = [result for result in members if 0.0 < _upper_limit(result) < math.inf]
+        measured = [result for result in members if result.errors.codes.is_measurable]
+        limits = [
+            result
+            for result in members
+            if not result.errors.codes.is_measurable and 0.0 < result.errors.codes.root_limit < math.inf
+        ]
         if measured:
-            handles[_LEGEND.get(family, family)] = _draw_measured(
-                axes, measured, style, named=family.startswith(NAMED)
-            )
+            handles[_LEGEND.get(family, family)] = _draw_measured(axes, measured, style)
         for result in limits:
             _draw_limit(axes, result, style)
         for result in (*measured, *limits):
-            _annotate(axes, result, style)
-    if any(0.0 < _upper_limit(result) < math.inf for result in panel.results):
+            _write_name(axes, result, style)
+        has_limits = has_limits or bool(limits)
+    if has_limits:
         handles["upper limit: the error is not measurable"] = Line2D(
             [], [], color="0.35", marker="v", markersize=8, markerfacecolor="white", linestyle="none"
         )
-    _set_scales(axes)
     if not handles:
         axes.text(0.5, 0.5, "no error is measurable", transform=axes.transAxes, ha="center", color="0.35")
+    _set_scales(axes)
     axes.set_xlabel("time of a frame, seconds (median; bars: minimum to maximum)")
     axes.set_ylabel("RMS error, 8-bit codes (bars: ± standard error)")
     return handles
 
 
-def _upper_limit(result: BenchResult) -> float:
-    """Upper limit of an error that is not measurable; 0 for others."""
-    return 0.0 if result.errors.codes.is_measurable else result.errors.codes.root_limit
-
-
-def _draw_measured(axes: Axes, results: Sequence[BenchResult], style: _Style, *, named: bool) -> Any:
+def _draw_measured(axes: Axes, results: Sequence[BenchResult], style: _Style) -> Any:
     """Draw the points of a family in the order of time; named qualities are not connected."""
-    seconds = [result.median_s for result in results]
-    spread = [
-        [result.median_s - min(result.seconds) for result in results],
-        [max(result.seconds) - result.median_s for result in results],
-    ]
+    results = sorted(results, key=lambda result: result.median_s)
+    named = results[0].family.startswith(NAMED)
     return axes.errorbar(
-        seconds,
+        [result.median_s for result in results],
         [result.errors.codes.root or 0.0 for result in results],
         yerr=[result.errors.codes.root_uncertainty or 0.0 for result in results],
-        xerr=spread,
+        xerr=[
+            [result.median_s - min(result.seconds) for result in results],
+            [max(result.seconds) - result.median_s for result in results],
+        ],
         color=style.colour,
         marker=style.marker,
         linestyle="none" if named else style.dashes,
@@ -154,30 +148,18 @@ def _draw_limit(axes: Axes, result: BenchResult, style: _Style) -> None:
     """Draw a bar at the limit, with a hollow arrow below."""
     limit, seconds = result.errors.codes.root_limit, result.median_s
     axes.plot([seconds], [limit], color=style.colour, marker="_", markersize=10, linestyle="none", zorder=4)
-    axes.annotate(
-        "",
-        (seconds, limit),
-        (0, -_ARROW_POINTS),
-        textcoords="offset points",
-        arrowprops={
-            "arrowstyle": "<|-",
-            "edgecolor": style.colour,
-            "facecolor": "white",
-            "shrinkA": 0,
-            "shrinkB": 0,
-        },
-    )
+    arrow = {"arrowstyle": "<|-", "edgecolor": style.colour, "facecolor": "white", "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (seconds, limit), (0, -_ARROW_POINTS), textcoords="offset points", arrowprops=arrow)
 
 
-def _annotate(axes: Axes, result: BenchResult, style: _Style) -> None:
+def _write_name(axes: Axes, result: BenchResult, style: _Style) -> None:
     """Write the name of a setting next to its point."""
-    error = result.errors.codes.root or result.errors.codes.root_limit
     bold = result.family.startswith(NAMED)
     # Lines fall to the right; other targets are often near a named quality.
     below = result.family == ADAPTIVE
     axes.annotate(
         result.name,
-        (result.median_s, error),
+        (result.median_s, result.errors.codes.root or result.errors.codes.root_limit),
         (-5, -11) if below else (6, 6),
         textcoords="offset points",
         ha="right" if below else "left",

@@ -16,6 +16,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
+import psutil
+
 from pepperscene.atomic import atomic_write, canonical_json
 from pepperscene.bench.measure import BenchResult
 from pepperscene.errors import OutputError
@@ -38,20 +40,17 @@ _ERRORS: Final = (
 )  # fmt: skip
 
 
-# --- machine ------------------------------------------------------------------------------------------------
-
-
 def machine_info() -> dict[str, Any]:
     """The machine, the versions of the packages and the load, as JSON data."""
     return {
         "date": datetime.date.today().isoformat(),
         "cpu": _cpu_model(),
         "cores": available_cores(),
-        "memory_mib": _memory_mib(),
+        "memory_mib": psutil.virtual_memory().total >> 20,
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "packages": {name: _package_version(name) for name in _PACKAGES},
-        "load_average": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
+        "load_average": list(psutil.getloadavg()),
     }
 
 
@@ -88,22 +87,11 @@ def _cpu_model() -> str:
     return platform.processor() or platform.machine()
 
 
-def _memory_mib() -> int | None:
-    """Memory of the machine; None if the system does not report it."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") >> 20
-    except (AttributeError, ValueError, OSError):
-        return None
-
-
 def _package_version(package: str) -> str | None:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
-
-
-# --- files --------------------------------------------------------------------------------------------------
 
 
 def result_json(result: BenchResult) -> dict[str, Any]:
@@ -136,28 +124,16 @@ def result_json(result: BenchResult) -> dict[str, Any]:
 
 def results_csv(results: Sequence[BenchResult]) -> str:
     """Results as CSV, one line a setting, with all its times in the last columns."""
-    runs = max((len(result.seconds) for result in results), default=0)
-    keys = ("variant", *_ERRORS, "median_s")
+    runs = [f"run_{number + 1}_s" for number in range(max((len(one.seconds) for one in results), default=0))]
+    keys = ("variant", *_ERRORS, "median_s", "least_s", "most_s", "first_s", "runs")
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(
-        [
-            *("scene", "family", "name", *_EFFORT, *keys, "least_s", "most_s", "first_s", "runs"),
-            *(f"run_{number + 1}_s" for number in range(runs)),
-        ]
-    )
+    heads = ("scene", "family", "name", *_EFFORT, *keys, *runs)
+    table = csv.DictWriter(text, heads, extrasaction="ignore", lineterminator="\n")
+    table.writeheader()
     for result in results:
-        values, seconds = result_json(result), result.seconds
-        table.writerow(
-            [
-                *(result.scene, result.family, result.name),
-                *(result.effort.get(key) for key in _EFFORT),
-                *(values[key] for key in keys),
-                *(min(seconds), max(seconds), result.first_s, len(seconds)),
-                *seconds,
-                *[""] * (runs - len(seconds)),
-            ]
-        )
+        times = dict(zip(runs, result.seconds, strict=False))
+        limits = {"least_s": min(result.seconds), "most_s": max(result.seconds)}
+        table.writerow({**result.effort, **result_json(result), **limits, **times})
     return text.getvalue()
 
 

@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import Any, Final
 
 from pepperscene.atomic import check_can_create
-from pepperscene.bench.image_errors import Reference, check_packages
+from pepperscene.bench.image_errors import check_packages
 from pepperscene.bench.measure import BenchResult, measure_settings, measure_variant, other_variants
 from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.records import (
@@ -31,7 +31,6 @@ from pepperscene.bench.report import (
 )
 from pepperscene.bench.scenes import SCENES, BenchScene, load_subject
 from pepperscene.bench.settings import Setting, settings
-from pepperscene.camera import Camera
 from pepperscene.errors import ArgumentError, OutputError
 from pepperscene.render import QUALITIES
 
@@ -70,13 +69,14 @@ class BenchmarkFiles:
 
 
 @dataclass(frozen=True, eq=False)
-class _SceneResults:
+class _MeasuredScene:
     scene: BenchScene
-    camera: Camera
-    triangles: int
-    full_triangles: int
-    reference: Reference
-    results: tuple[BenchResult, ...]
+    summary: dict[str, Any]  # of the scene and its reference, for the JSON file
+    results: Sequence[BenchResult]
+
+    @property
+    def size(self) -> str:
+        return "{} × {} pixels".format(*self.summary["size"])
 
 
 def run_benchmark(
@@ -118,14 +118,14 @@ def run_benchmark(
     measured = [
         _measure_scene(scene, folder, size, runs, limit_s, compared, quick, on_progress) for scene in scenes
     ]
-    results = [result for scene in measured for result in scene.results]
-    ratios = {scene.scene.name: time_ratios(scene.results) for scene in measured}
+    results = [result for one in measured for result in one.results]
+    ratios = {one.scene.name: time_ratios(one.results) for one in measured}
     content = {
         "machine": machine,
         "asked": {
             "size": size, "runs": runs, "budget_s": budget_s, "quick": quick, "all_settings": all_settings,
         },
-        "scenes": {scene.scene.name: _scene_json(scene) for scene in measured},
+        "scenes": {one.scene.name: one.summary for one in measured},
         "measured": [result_json(result) for result in results],
         "ratios": {
             name: [{**asdict(ratio), "times": ratio.times} for ratio in of_scene]
@@ -134,19 +134,12 @@ def run_benchmark(
     }  # fmt: skip
     parts = [
         describe_machine(machine),
-        "\n".join(_scene_line(scene) for scene in measured),
+        "\n".join(map(_scene_line, measured)),
         result_table(results),
         *_sentences_at_one_code(ratios),
     ]
     markdown = "\n\n".join(parts) + "\n"
-    panels = [
-        Panel(
-            f"{scene.scene.name}, {scene.camera.width} × {scene.camera.height} pixels",
-            scene.scene.description,
-            scene.results,
-        )
-        for scene in measured
-    ]
+    panels = [Panel(f"{one.scene.name}, {one.size}", one.scene.description, one.results) for one in measured]
     plots = plot_pareto(panels, "Rendering time and error of a frame; lower left is better")
     extra_files = {"results.csv": results_csv(results).encode()} | {
         f"pareto.{suffix}": plot for suffix, plot in plots.items()
@@ -177,7 +170,7 @@ def _measure_scene(
     compared: Sequence[Setting],
     quick: bool,
     on_progress: OnProgress,
-) -> _SceneResults:
+) -> _MeasuredScene:
     on_progress(f"{scene.name}: {scene.description}")
     start = perf_counter()
     subject = load_subject(scene, size, runs)
@@ -209,36 +202,32 @@ def _measure_scene(
             variant, scene.name, size, runs, references, limit_s=left_s / (len(variants) - number)
         )
     # The subject and its renderers are freed before the next scene is loaded.
-    triangles, full_triangles = len(subject.scene.mesh.faces), len(subject.full_scene.mesh.faces)
-    return _SceneResults(scene, subject.camera, triangles, full_triangles, reference, tuple(results))
-
-
-def _scene_json(results: _SceneResults) -> dict[str, Any]:
-    return {
-        "recipe": results.scene.recipe,
-        "changes": dict(results.scene.changes),
-        "frame": results.scene.index,
-        "meaning": results.scene.description,
-        "size": [results.camera.width, results.camera.height],
-        "triangles": results.triangles,
-        "of_triangles": results.full_triangles,
+    summary = {
+        "recipe": scene.recipe,
+        "changes": dict(scene.changes),
+        "frame": scene.index,
+        "meaning": scene.description,
+        "size": [subject.camera.width, subject.camera.height],
+        "triangles": len(subject.scene.mesh.faces),
+        "of_triangles": len(subject.full_scene.mesh.faces),
         "reference": {
-            "pictures": results.reference.renders,
-            "seconds": results.reference.seconds,
-            "error_codes": results.reference.error_codes,
+            "pictures": reference.renders,
+            "seconds": reference.seconds,
+            "error_codes": reference.error_codes,
         },
     }
+    return _MeasuredScene(scene, summary, results)
 
 
-def _scene_line(results: _SceneResults) -> str:
+def _scene_line(measured: _MeasuredScene) -> str:
     """A scene and its reference as an item of a list."""
-    scene, reference = results.scene, results.reference
+    scene, summary = measured.scene, measured.summary
+    reference = summary["reference"]
     return (
-        f"- `{scene.name}`: {scene.description}; frame {scene.index} of `{scene.recipe}`, "
-        f"{results.camera.width} × {results.camera.height} pixels, {results.triangles:,} of "
-        f"{results.full_triangles:,} triangles. The reference is the mean of {reference.renders} images "
-        f"without denoiser; its own error of {reference.error_codes:.2g} codes is not part of the errors "
-        f"below."
+        f"- `{scene.name}`: {scene.description}; frame {scene.index} of `{scene.recipe}`, {measured.size}, "
+        f"{summary['triangles']:,} of {summary['of_triangles']:,} triangles. The reference is the mean of "
+        f"{reference['pictures']} images without denoiser; its own error of "
+        f"{reference['error_codes']:.2g} codes is not part of the errors below."
     )
 
 

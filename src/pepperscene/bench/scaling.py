@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -66,9 +66,10 @@ def measure_scaling(
         first = run_child(replace(task, frames=0))
         task = replace(task, size=tuple(first["size"]))
         measured[scene.name] = tables = {
-            "plants": _measure_plants(task, quick, on_progress),
-            "triangles": _measure_triangles(task, on_progress),
-            "pixels": _measure_pixels(task, quick, on_progress),
+            **{
+                name: _measure_costs(head, tasks, on_progress)
+                for name, (head, tasks) in _cost_tasks(task, quick).items()
+            },
             "frames": _measure_frames(task, quick, on_progress),
             "workers": _measure_workers(task, on_progress),
         }
@@ -98,34 +99,47 @@ def fit_slope(rows: Sequence[Row], quantity: str) -> float:
     return float(np.polyfit(np.log(counts), np.log([row["frame_s"] for row in rows]), 1)[0])
 
 
-def _measure_plants(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:
-    """More plants in both rows."""
-    rows = []
-    for front, back in _PLANTS[:2] if quick else _PLANTS:
-        on_progress(f"{front + back} plants")
-        changes = {**task.changes, "row.plants_front": front, "row.plants_back": back}
-        rows.append({"plants": front + back, **_cost_row(run_child(replace(task, changes=changes)))})
-    return rows
+def _cost_tasks(task: FramesTask, quick: bool) -> dict[str, tuple[str, dict[Any, FramesTask]]]:
+    """The head of a column and its values, by quantity.
 
-
-def _measure_triangles(task: FramesTask, on_progress: OnProgress) -> list[Row]:
-    """The same surfaces with each triangle divided into four."""
-    rows = []
-    for divided in (0, 1):
-        on_progress(f"each triangle divided into {4**divided}")
-        rows.append({"divided into": 4**divided, **_cost_row(run_child(replace(task, divided=divided)))})
-    return rows
-
-
-def _measure_pixels(task: FramesTask, quick: bool, on_progress: OnProgress) -> list[Row]:
-    """Larger images of the same view."""
+    There are more plants in both rows, smaller triangles of the same surfaces, and larger images of a view.
+    """
     assert task.size is not None
-    rows = []
+    plants = {}
+    for front, back in _PLANTS[:2] if quick else _PLANTS:
+        changes = {**task.changes, "row.plants_front": front, "row.plants_back": back}
+        plants[front + back] = replace(task, changes=changes)
+    pixels = {}
     for scale in _SCALES[:3] if quick else _SCALES:
         width, height = (max(round(length * scale), 1) for length in task.size)
-        on_progress(f"{width}x{height} pixels")
-        cost = _cost_row(run_child(replace(task, size=(width, height))))
-        rows.append({"pixels": f"{width}x{height}", **cost})
+        pixels[f"{width}x{height}"] = replace(task, size=(width, height))
+    divided = {4**times: replace(task, divided=times) for times in (0, 1)}
+    return {
+        "plants": ("plants", plants),
+        "triangles": ("divided into", divided),
+        "pixels": ("pixels", pixels),
+    }
+
+
+def _measure_costs(quantity: str, tasks: Mapping[Any, FramesTask], on_progress: OnProgress) -> list[Row]:
+    """Cost of a scene and of its next frames for each value of a quantity."""
+    rows = []
+    for value, task in tasks.items():
+        on_progress(f"{quantity}: {value}")
+        child = run_child(task)
+        times = _frame_times(child)[1:]
+        rows.append(
+            {
+                quantity: value,
+                "triangles": child["triangles"],
+                "scene_s": scene_seconds(child),
+                "frame_s": statistics.median(times),
+                "least_s": min(times),
+                "most_s": max(times),
+                "seconds": times,
+                "peak_mib": child["peaks_mib"][-1],
+            }
+        )
     return rows
 
 
@@ -171,20 +185,6 @@ def _measure_workers(task: FramesTask, on_progress: OnProgress) -> list[Row]:
 
 def _frame_times(child: dict[str, Any]) -> list[float]:
     return [sum(frame.values()) for frame in child["frames"]]
-
-
-def _cost_row(child: dict[str, Any]) -> Row:
-    """Cost of a scene and of its next frames."""
-    times = _frame_times(child)[1:]
-    return {
-        "triangles": child["triangles"],
-        "scene_s": scene_seconds(child),
-        "frame_s": statistics.median(times),
-        "least_s": min(times),
-        "most_s": max(times),
-        "seconds": times,
-        "peak_mib": child["peaks_mib"][-1],
-    }
 
 
 def _table(rows: Sequence[Row]) -> str:
