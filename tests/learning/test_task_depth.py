@@ -15,7 +15,7 @@ from pepperscene.cli import app
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 from pepperscene.learning.tasks import evaluate_depth
 from pepperscene.learning.tasks.depth_baselines import BASELINES
-from pepperscene.learning.tasks.depth_errors import (
+from pepperscene.learning.tasks.depth_task import (
     depth_regions,
     error_sums,
     errors_of_sums,

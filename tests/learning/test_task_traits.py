@@ -13,8 +13,14 @@ from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 from pepperscene.learning.tasks.predictions import PredictionFolder
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, has_bands, partial_least_squares
-from pepperscene.learning.tasks.trait_samples import OrganSamples, join_samples, organ_samples
-from pepperscene.learning.tasks.trait_task import regression_errors, score_maps, score_regressions
+from pepperscene.learning.tasks.trait_task import (
+    OrganSamples,
+    join_samples,
+    organ_samples,
+    regression_errors,
+    score_maps,
+    score_regressions,
+)
 
 BANDS = np.array([475.0, 560.0, 668.0, 717.0, 840.0])
 

@@ -12,10 +12,16 @@ import pepperscene as ps
 from pepperscene.cli import app
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.frame import Frame
-from pepperscene.learning.tasks.view_planners import PlanningState, arc_planner, random_planner
+from pepperscene.learning.tasks.view_planners import (
+    VOXEL_M,
+    PlanningState,
+    VoxelMap,
+    VoxelPlanner,
+    arc_planner,
+    random_planner,
+)
 from pepperscene.learning.tasks.view_scenes import ViewTask, covered_fraction, view_scenes
 from pepperscene.learning.tasks.view_task import ORACLE, evaluate_planners, plan_views
-from pepperscene.learning.tasks.voxel_planner import VOXEL_M, VoxelMap, VoxelPlanner
 from pepperscene.recipe.resolve.load import resolve_recipe
 
 SMALL = {

@@ -86,6 +86,16 @@ def picture_row(panels: Sequence[tuple[str, str]], name: str, size: tuple[int, i
     return element("div", *figures, class_="row")
 
 
+def ranked_examples(mean_iou: NDArray[np.float64]) -> list[tuple[str, int]]:
+    """The best, the median and the worst image by mean IoU `(n,)`: word and position; fewer of fewer images."""
+    order = [int(at) for at in np.argsort(-mean_iou, kind="stable") if np.isfinite(mean_iou[at])]
+    if not order:
+        return []
+    # Of one or two images, later words replace earlier ones.
+    words = {len(order) // 2: "median", len(order) - 1: "worst", 0: "best"}
+    return [(words[place], order[place]) for place in sorted(words)]
+
+
 def class_legend(classes: ClassTable, *indices: NDArray[np.uint8]) -> Html:
     """Names and colours of the classes that occur in index images."""
     palette = class_palette_of(classes)

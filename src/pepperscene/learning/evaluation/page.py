@@ -21,6 +21,7 @@ from pepperscene.learning.page_parts import (
     class_palette_of,
     page_document,
     picture_row,
+    ranked_examples,
     table_section,
 )
 from pepperscene.review.report.colours import jpeg_data_uri, png_data_uri
@@ -72,30 +73,18 @@ def write_evaluation(
     return EvaluationFiles(*write_files(folder, content))
 
 
-def select_images(images: Sequence[EvaluatedImage]) -> list[tuple[str, EvaluatedImage]]:
-    """The best, the median and the worst image by their mean IoU, with these words; fewer of fewer images."""
-    ranked = [image for image in images if np.isfinite(image.mean_iou)]
-    ranked.sort(key=lambda image: -image.mean_iou)
-    places = {"best": 0, "median": len(ranked) // 2, "worst": len(ranked) - 1}
-    # Of one or two images, some of the three are the same.
-    chosen: dict[int, str] = {}
-    for word, place in sorted(places.items(), key=lambda item: item[0] == "median"):
-        chosen.setdefault(place, word)
-    return [(chosen[place], ranked[place]) for place in sorted(chosen)]
-
-
 def _page_html(evaluation: Evaluation, model: Segmenter, sets: Sequence[ImageSet]) -> Html:
     merging = evaluation.classes.merging(model.classes)
+    mean_iou = np.array([image.mean_iou for image in evaluation.images])
     pictures = [
-        _image_html(word, image, evaluation.classes, model, merging, sets)
-        for word, image in select_images(evaluation.images)
+        _image_html(word, evaluation.images[at], evaluation.classes, model, merging, sets)
+        for word, at in ranked_examples(mean_iou)
     ]
+    panels = (
+        [element("section", element("h2", "Images by their own mean IoU"), *pictures)] if pictures else []
+    )
     title = f"Evaluation on {', '.join(item.name for item in evaluation.sets)}"
-    return page_document(title, *map(table_section, evaluation.tables()), *_panels(pictures))
-
-
-def _panels(pictures: Sequence[Html]) -> list[Html]:
-    return [element("section", element("h2", "Images by their own mean IoU"), *pictures)] if pictures else []
+    return page_document(title, *map(table_section, evaluation.tables()), *panels)
 
 
 def _image_html(

@@ -14,7 +14,7 @@ from pepperscene.learning.evaluation.evaluate import label_image
 from pepperscene.learning.experiments.results import ExperimentResult
 from pepperscene.learning.experiments.runner import JobRunner
 from pepperscene.learning.experiments.schedule import NetworkJob
-from pepperscene.learning.page_parts import class_palette_of
+from pepperscene.learning.page_parts import class_palette_of, ranked_examples
 
 _SHOWN: tuple[str, ...] = ("B", "C", "D", "E")
 
@@ -46,23 +46,12 @@ def picture_rows(
     classes: ClassTable,
 ) -> tuple[PictureRow, ...]:
     """The best, the median and the worst image of experiment B, with predictions of the first seed."""
-    return tuple(
-        _picture_row(word, name, mean_iou, jobs, runner, real, classes)
-        for word, name, mean_iou in _select(results["B"])
-    )
-
-
-def _select(result: ExperimentResult) -> list[tuple[str, str, float]]:
-    """Word, name and mean IoU of the best, the median and the worst image; fewer of fewer images."""
+    result = results["B"]
     mean_iou = result.image_mean_iou()
-    ranked = [int(at) for at in np.argsort(-mean_iou, kind="stable") if np.isfinite(mean_iou[at])]
-    places = {0: "best", len(ranked) - 1: "worst"} if ranked else {}
-    if len(ranked) > 2:
-        places[len(ranked) // 2] = "median"
-    return [
-        (places[place], result.images[ranked[place]][1], float(mean_iou[ranked[place]]))
-        for place in sorted(places)
-    ]
+    return tuple(
+        _picture_row(word, result.images[at][1], float(mean_iou[at]), jobs, runner, real, classes)
+        for word, at in ranked_examples(mean_iou)
+    )
 
 
 def _picture_row(

@@ -25,13 +25,14 @@ from pepperscene.learning.experiments.schedule import MERGED, NO_OTHER, TITLES, 
 from pepperscene.learning.experiments.sets import (
     ExperimentSets,
     Sources,
-    describe_images,
     find_sources,
     make_sets,
 )
 from pepperscene.learning.models.registry import build_model
 from pepperscene.learning.models.trained_model import load_model
 from pepperscene.learning.options import ExperimentOptions, is_built_in
+from pepperscene.learning.training.checkpoint import first_difference
+from pepperscene.learning.training.run import describe_images
 from pepperscene.user_files import read_file
 from pepperscene.version import __version__
 
@@ -139,23 +140,11 @@ def _claim_folder(folder: Path, settings: Mapping[str, Any]) -> None:
         found = parse_json(content)
     except ValueError:
         raise InputError(file, "is damaged; choose another folder") from None
-    difference = _first_difference(found, current)
+    difference = first_difference(found, current)
     if difference is not None:
         key, there, here = difference
         problem = f"{key} is {short_repr(there)} there and {short_repr(here)} here; choose another folder"
         raise InputError(file, f"is of other experiments: {problem}")
-
-
-def _first_difference(found: Any, current: Any, key: str = "") -> tuple[str, Any, Any] | None:
-    """The first key whose values differ, and both values."""
-    if isinstance(found, dict) and isinstance(current, dict):
-        for name in sorted({*found, *current}):
-            inner = f"{key}.{name}" if key else name
-            difference = _first_difference(found.get(name), current.get(name), inner)
-            if difference is not None:
-                return difference
-        return None
-    return None if found == current else (key, found, current)
 
 
 def _collect(jobs: Sequence[NetworkJob], runner: JobRunner) -> dict[str, ExperimentResult]:

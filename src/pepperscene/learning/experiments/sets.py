@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +24,7 @@ from pepperscene.learning.experiments.splits import (
     split_synthetic,
 )
 from pepperscene.learning.options import ExperimentOptions
+from pepperscene.learning.training.run import describe_images
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.recipe import digest
 from pepperscene.recipe.resolve.load import resolve_recipe
@@ -203,14 +203,6 @@ def _spread(items: Sequence[Item], count: int) -> list[Item]:
         items[first + int((number * _GOLDEN_RATIO % 1) * (end - first))]
         for number, (first, end) in enumerate(pairwise(bounds))
     ]
-
-
-def describe_images(images: ImageSet) -> dict[str, Any]:
-    """Name, number of images and digests of a set as JSON values."""
-    names = hashlib.sha256("\n".join(images.names()).encode("utf-8", "surrogateescape")).hexdigest()
-    info = getattr(getattr(images, "dataset", None), "info", None)
-    recipe = info.get("recipe_sha256") if isinstance(info, Mapping) else None
-    return {"name": images.name, "images": len(images), "names_sha256": names, "recipe_sha256": recipe}
 
 
 def _describe_other(sources: Sources) -> dict[str, Any] | None:

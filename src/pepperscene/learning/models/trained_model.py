@@ -8,17 +8,18 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, FiniteFloat
 
 from pepperscene.atomic import write_file
+from pepperscene.document import Document, validate
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.registry import build_model, without_initial_weights
-from pepperscene.learning.options import MODELS, is_built_in
+from pepperscene.learning.options import LEAST_SIDE, MODELS, MOST_SIDE, is_built_in
 from pepperscene.learning.user_callable import user_errors
 from pepperscene.user_files import check_file
 from pepperscene.version import __version__
@@ -29,6 +30,38 @@ if TYPE_CHECKING:
 
 MODEL_FILE: Final = "model.safetensors"
 FORMAT: Final = "pepperscene model 1"
+
+
+_Text = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+_Count = Annotated[int, Field(strict=True, ge=0, lt=2**63)]
+
+
+class ModelDescription(Document):
+    """Of `model.safetensors`: see `TrainedModel`."""
+
+    format: _Text
+    model: _Text
+    classes: _Text
+    width: Annotated[int, Field(strict=True, ge=LEAST_SIDE, le=MOST_SIDE)] | None
+    version: _Text = "unknown"
+    training: dict[str, Any]
+
+
+class StateDescription(Document):
+    """Of `state.safetensors`: see `TrainingState`."""
+
+    format: _Text
+    step: _Count
+    best: Annotated[FiniteFloat, Field(strict=True)] | None
+    best_step: _Count
+    record: dict[str, Any]
+
+
+def check_description(
+    file: Path, description: Mapping[str, Any], kind: type[ModelDescription | StateDescription]
+) -> dict[str, Any]:
+    """The values of a description; raises `InputError` for the first that is missing or not allowed."""
+    return dict(validate(kind, description, file))
 
 
 @final

@@ -16,12 +16,12 @@ from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.tasks.view_planners import (
     Planner,
     PlanningState,
+    VoxelPlanner,
     arc_planner,
     oracle_views,
     random_planner,
 )
 from pepperscene.learning.tasks.view_scenes import ViewScene, ViewTask, covered_fraction, view_scenes
-from pepperscene.learning.tasks.voxel_planner import VoxelPlanner
 from pepperscene.learning.user_callable import user_errors
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe

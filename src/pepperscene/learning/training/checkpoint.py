@@ -12,8 +12,13 @@ from torch import nn
 
 from pepperscene.atomic import write_file
 from pepperscene.errors import InputError, short_repr
-from pepperscene.learning.models.description import StateDescription, check_description
-from pepperscene.learning.models.trained_model import fill_module, read_weights, weights_as_bytes
+from pepperscene.learning.models.trained_model import (
+    StateDescription,
+    check_description,
+    fill_module,
+    read_weights,
+    weights_as_bytes,
+)
 
 STATE_FILE: Final = "state.safetensors"
 FORMAT: Final = "pepperscene training 1"
@@ -92,14 +97,14 @@ def read_state(
 
 def check_record(file: Path, found: Any, record: Mapping[str, Any]) -> None:
     """Raise `InputError` if a file was written by another training; the first difference is named."""
-    difference = _first_difference(found, record, "")
+    difference = first_difference(found, record)
     if difference is not None:
         key, there, here = difference
         problem = f"{key} is {short_repr(there)} there and {short_repr(here)} here"
         raise InputError(file, f"holds another training: {problem}; choose another folder")
 
 
-def _first_difference(found: Any, here: Any, key: str) -> tuple[str, Any, Any] | None:
+def first_difference(found: Any, here: Any, key: str = "") -> tuple[str, Any, Any] | None:
     """Dotted key and values of the first difference of two JSON values."""
     if isinstance(found, list) and isinstance(here, list):
         if len(found) != len(here):
@@ -111,7 +116,7 @@ def _first_difference(found: Any, here: Any, key: str) -> tuple[str, Any, Any] |
         return None if found == here else (key, found, here)
     for name in sorted({*found, *here}):
         path = f"{key}.{name}" if key else str(name)
-        difference = _first_difference(found.get(name), here.get(name), path)
+        difference = first_difference(found.get(name), here.get(name), path)
         if difference is not None:
             return difference
     return None

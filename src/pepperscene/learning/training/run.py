@@ -15,11 +15,12 @@ from pepperscene.atomic import check_can_create, sole_writer, visible_names, wri
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.models.description import ModelDescription, check_description
 from pepperscene.learning.models.trained_model import (
     FORMAT,
     MODEL_FILE,
+    ModelDescription,
     TrainedModel,
+    check_description,
     load_model,
     read_weights,
     require_torch,
@@ -101,6 +102,14 @@ def _own_factory(model: str) -> str | None:
     return None if is_built_in(model) else model
 
 
+def describe_images(images: ImageSet) -> dict[str, Any]:
+    """Name, number of images and digests of a set as JSON values."""
+    names = hashlib.sha256("\n".join(images.names()).encode("utf-8", "surrogateescape")).hexdigest()
+    info = getattr(getattr(images, "dataset", None), "info", None)
+    recipe = info.get("recipe_sha256") if isinstance(info, Mapping) else None
+    return {"name": images.name, "images": len(images), "names_sha256": names, "recipe_sha256": recipe}
+
+
 def _as_tuple(sets: ImageSet | Sequence[ImageSet]) -> tuple[ImageSet, ...]:
     return (sets,) if isinstance(sets, ImageSet) else tuple(sets)
 
@@ -144,18 +153,11 @@ def _record(
 
     return {
         "options": options.as_record(),
-        "sets": [_describe_set(images) for images in sets],
-        "validation": [_describe_set(images) for images in validation],
+        "sets": [describe_images(images) for images in sets],
+        "validation": [describe_images(images) for images in validation],
         "start": None if origin is None else _digest_weights(origin),
         "versions": {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__},
     }
-
-
-def _describe_set(images: ImageSet) -> dict[str, Any]:
-    names = hashlib.sha256("\n".join(images.names()).encode("utf-8", "surrogateescape")).hexdigest()
-    info = getattr(getattr(images, "dataset", None), "info", None)
-    recipe = info.get("recipe_sha256") if isinstance(info, Mapping) else None
-    return {"name": images.name, "images": len(images), "names_sha256": names, "recipe_sha256": recipe}
 
 
 def _digest_weights(segmenter: TrainedModel) -> str:
