@@ -38,9 +38,8 @@ from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import PepperError
 from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
+from pepperscene.learning.experiments.jobs import JobRunner, NetworkJob, NetworkTest
 from pepperscene.learning.experiments.results import ExperimentResult, collect_result, compare_results
-from pepperscene.learning.experiments.runner import JobRunner
-from pepperscene.learning.experiments.schedule import NetworkJob, NetworkTest
 from pepperscene.learning.experiments.sets import OUTPUTS, spread_frames
 from pepperscene.learning.options import TrainingOptions
 from pepperscene.materials import Surface

@@ -17,7 +17,8 @@ from pepperscene.classes import IGNORE_COLOUR
 from pepperscene.errors import InputError, OutputError
 from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 from pepperscene.learning.evaluation.evaluate import evaluate
-from pepperscene.learning.evaluation.page import select_images, write_evaluation
+from pepperscene.learning.evaluation.page import write_evaluation
+from pepperscene.learning.pages import ranked_examples
 
 VOID_ELEMENTS = {"meta", "img", "br"}
 
@@ -108,17 +109,16 @@ def test_ignored_pixels_are_grey_and_in_the_legend(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("count", "words"), [(1, ["best"]), (2, ["best", "worst"]), (3, ["best", "median", "worst"])]
+    ("values", "chosen"),
+    [
+        ([], []),
+        ([0.5], [("best", 0)]),
+        ([0.2, np.nan, 0.5], [("best", 2), ("worst", 0)]),
+        ([0.4, 0.5, 0.1, 0.3], [("best", 1), ("median", 3), ("worst", 2)]),
+    ],
 )
-def test_no_image_is_shown_twice(count, words):
-    chosen = select_images(evaluate(ReadsRed(), image_set(*random_masks(count))).images)
-    assert [word for word, _ in chosen] == words
-    assert len({image.name for _, image in chosen}) == count
-
-
-def test_images_without_labelled_pixels_are_not_shown():
-    evaluation = evaluate(ReadsRed(), image_set(np.full((4, 4), 255), *random_masks(1)))
-    assert [image.name for _, image in select_images(evaluation.images)] == ["image1"]
+def test_examples_are_the_best_the_median_and_the_worst_image(values, chosen):
+    assert ranked_examples(np.array(values)) == chosen
 
 
 def test_writes_both_files_or_none(tmp_path):

@@ -20,8 +20,8 @@ from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.frame import Frame
 from pepperscene.geometry import rectangle
 from pepperscene.learning.experiments import run, sets
+from pepperscene.learning.experiments.jobs import JobRunner
 from pepperscene.learning.experiments.page import format_measure
-from pepperscene.learning.experiments.runner import JobRunner
 from pepperscene.scene import assemble_scene
 
 RECIPE = """
@@ -139,7 +139,12 @@ def test_page_has_the_values_of_the_json(finished, content):
     assert f"E above C by {format_measure(mean, signed=True)}" in page
     assert "D was not run: no unrelated set or model was named (--other)" in page
     assert "2 sets of plants train" in page
-    assert len(list(root.iter("img"))) == 3 * 5
+    alts = [image.get("alt") for image in root.iter("img")]
+    charts = [alt for alt in alts if "experiment" in alt]
+    assert len(alts) - len(charts) == 3 * 5
+    assert charts[0] == "IoU by class and experiment, in percent"
+    # Loss of A, C and E, and validations of A.
+    assert len(charts) == 1 + 4
 
 
 def test_a_finished_run_is_not_repeated(finished, monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from scipy.stats import linregress
@@ -23,6 +25,9 @@ from pepperscene.learning.tasks.trait_task import (
 )
 
 BANDS = np.array([475.0, 560.0, 668.0, 717.0, 840.0])
+needs_scikit_learn = pytest.mark.skipif(
+    find_spec("sklearn") is None, reason="the extra `learn` installs scikit-learn"
+)
 
 
 def samples_of(reflectance, trait):
@@ -83,6 +88,7 @@ def test_errors_agree_with_torchmetrics():
 
 
 @pytest.mark.parametrize("name", ["ridge", "pls"])
+@needs_scikit_learn
 def test_a_linear_trait_is_recovered(name):
     slopes = np.array([0.3, -0.8, 0.1, 0.5, 0.2])
     train, test = random_bands(0), random_bands(1)
@@ -120,6 +126,7 @@ def test_an_index_regression_is_the_least_squares_line():
     )
 
 
+@needs_scikit_learn
 def test_partial_least_squares_with_all_components_are_least_squares():
     rng = np.random.default_rng(6)
     train, trait = random_bands(6), rng.uniform(0, 1, 60)
@@ -131,6 +138,13 @@ def test_partial_least_squares_with_all_components_are_least_squares():
     standard = (train - train.mean(axis=0)) / train.std(axis=0)
     direction = standard @ (standard.T @ (trait - trait.mean()))
     assert abs(np.corrcoef(first, direction)[0, 1]) == pytest.approx(1)
+
+
+def test_a_constant_trait_is_predicted():
+    pytest.importorskip("sklearn", reason="the extra `learn` installs scikit-learn")
+    for name in ("mean", "ridge", "pls", "best_index"):
+        predictor = REGRESSIONS[name](random_bands(2), np.full(60, 0.3), BANDS)
+        np.testing.assert_allclose(predictor(random_bands(3)), 0.3)
 
 
 def test_indices_need_bands_near_their_wavelengths():
@@ -182,6 +196,7 @@ def paint_fruit(seed, size):
     }
 
 
+@needs_scikit_learn
 def test_the_command_learns_from_the_training_plants(tmp_path):
     outputs = ("reflectance", "instance", "class", "ripeness")
     changes = {"plan.select": [0, 1, 2, 3]}

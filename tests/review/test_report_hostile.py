@@ -23,7 +23,6 @@ from hostile_set import (
 
 from pepperscene.errors import PepperError
 from pepperscene.review.report import write_report
-from pepperscene.review.report.markup import Html, element, fragment, joined
 from pepperscene.version import __version__
 
 URL_ATTRIBUTES = ("href", "src", "xlink:href")
@@ -158,30 +157,3 @@ def test_number_is_refused_or_escaped(one_frame, tmp_path, field):
         assert not (folder / "index.html").exists()
     else:
         assert_harmless(Elements(page))
-
-
-@pytest.mark.parametrize("text", [TEXT, FILE_NAME, "<", "&amp;", "'", '"', "a<b>c", ""])
-def test_text_in_an_element_is_the_same_text_again(text):
-    class Parser(HTMLParser):
-        def handle_starttag(self, tag, attrs):
-            found.append((tag, attrs))
-
-        def handle_data(self, data):
-            found.append(data)
-
-    found = []
-    parser = Parser()
-    content = element("p", text, title=text, data_kind=text, lang=None)
-    parser.feed(content)
-    parser.close()
-    assert isinstance(content, Html)
-    assert found[0] == ("p", [("title", text), ("data-kind", text)])
-    assert "".join(found[1:]) == text
-
-
-def test_html_is_escaped_once_and_changed_html_again():
-    line = element("b", "a & b")
-    assert fragment(line, " < ", line) == "<b>a &amp; b</b> &lt; <b>a &amp; b</b>"
-    assert joined([line, "c"], element("br")) == "<b>a &amp; b</b><br>c"
-    # A string made of HTML in any other way counts as text.
-    assert fragment(f"{line}") == fragment(line.lower()) == "&lt;b&gt;a &amp;amp; b&lt;/b&gt;"

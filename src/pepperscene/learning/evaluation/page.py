@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pepperscene.atomic import canonical_json, check_can_write, write_files
 from pepperscene.dataset.readers.image_set import ImageSet
@@ -16,16 +15,14 @@ from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.evaluate import Segmenter, label_image
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, Evaluation
-from pepperscene.learning.page_parts import (
+from pepperscene.learning.pages import (
+    ImagePanels,
     class_legend,
     class_palette_of,
-    page_document,
-    picture_row,
     ranked_examples,
-    table_section,
+    render_page,
 )
 from pepperscene.review.report.colours import jpeg_data_uri, png_data_uri
-from pepperscene.review.report.markup import Html, element, fragment
 
 JSON_NAME: Final = "evaluation.json"
 PAGE_NAME: Final = "evaluation.html"
@@ -73,41 +70,31 @@ def write_evaluation(
     return EvaluationFiles(*write_files(folder, content))
 
 
-def _page_html(evaluation: Evaluation, model: Segmenter, sets: Sequence[ImageSet]) -> Html:
-    merging = evaluation.classes.merging(model.classes)
+def _page_html(evaluation: Evaluation, model: Segmenter, sets: Sequence[ImageSet]) -> str:
     mean_iou = np.array([image.mean_iou for image in evaluation.images])
-    pictures = [
-        _image_html(word, evaluation.images[at], evaluation.classes, model, merging, sets)
+    images = [
+        _image_panels(word, evaluation.images[at], evaluation.classes, model, sets)
         for word, at in ranked_examples(mean_iou)
     ]
-    panels = (
-        [element("section", element("h2", "Images by their own mean IoU"), *pictures)] if pictures else []
-    )
     title = f"Evaluation on {', '.join(item.name for item in evaluation.sets)}"
-    return page_document(title, *map(table_section, evaluation.tables()), *panels)
+    return render_page("evaluation.html", title, tables=evaluation.tables(), images=images)
 
 
-def _image_html(
-    word: str,
-    image: EvaluatedImage,
-    classes: ClassTable,
-    model: Segmenter,
-    merging: NDArray[np.float32],
-    sets: Sequence[ImageSet],
-) -> Html:
+def _image_panels(
+    word: str, image: EvaluatedImage, classes: ClassTable, model: Segmenter, sets: Sequence[ImageSet]
+) -> ImagePanels:
     """One image as photograph, mask and prediction, with a legend of the classes that occur."""
     images = sets[image.set_number]
     read = images.select("colour", "classes")[image.position]
     if read.classes is None:
         raise InputError(images.name, f"{image.name} has no mask any more")
-    truth, prediction = label_image(model, classes, merging, read)
+    truth, prediction = label_image(model, classes, classes.merging(model.classes), read)
     assert read.colour is not None
     palette = class_palette_of(classes)
-    panels = [
+    panels = (
         ("photograph", jpeg_data_uri(read.colour)),
         ("mask", png_data_uri(palette[truth])),
         ("prediction", png_data_uri(palette[prediction])),
-    ]
+    )
     heading = f"{word.capitalize()}: {image.name} of {images.name}, mean IoU {100.0 * image.mean_iou:.1f} %"
-    row = picture_row(panels, image.name, (truth.shape[0], truth.shape[1]))
-    return fragment(element("h3", heading), row, class_legend(classes, truth, prediction))
+    return ImagePanels(heading, image.name, truth.shape, panels, class_legend(classes, truth, prediction))

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from pepperscene.review.report.markup import Html, element
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -20,6 +18,14 @@ COLOURS: Final = MappingProxyType(
 """Of experiments; apart from grey, those of Okabe and Ito, which colour-blind people can distinguish."""
 
 _DASHES: Final = ("solid", (0, (3, 1.5)), (0, (1, 1.5)), (0, (4, 1.5, 1, 1.5)))
+
+
+@dataclass(frozen=True)
+class Chart:
+    """An image of a chart, and its title for those who cannot see it."""
+
+    title: str
+    uri: str
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class TrainingCurve:
     y: tuple[float, ...]
 
 
-def bar_chart(title: str, groups: Sequence[tuple[str, Sequence[Bar]]]) -> Html:
+def bar_chart(title: str, groups: Sequence[tuple[str, Sequence[Bar]]]) -> Chart:
     """Bars of IoU in percent by group, with intervals as lines and the value above each."""
 
     def draw(axes: Axes) -> None:
@@ -71,7 +77,7 @@ def bar_chart(title: str, groups: Sequence[tuple[str, Sequence[Bar]]]) -> Html:
     return _draw_image(title, (11.2, 3.4), draw)
 
 
-def curve_chart(title: str, curves: Sequence[TrainingCurve], y_label: str, colour: str) -> Html:
+def curve_chart(title: str, curves: Sequence[TrainingCurve], y_label: str, colour: str) -> Chart:
     """Lines over steps, from 0 upwards, whose names are in a legend."""
 
     def draw(axes: Axes) -> None:
@@ -89,7 +95,7 @@ def curve_chart(title: str, curves: Sequence[TrainingCurve], y_label: str, colou
     return _draw_image(title, (5.4, 2.6), draw)
 
 
-def _draw_image(title: str, size_in: tuple[float, float], draw: Callable[[Axes], None]) -> Html:
+def _draw_image(title: str, size_in: tuple[float, float], draw: Callable[[Axes], None]) -> Chart:
     """An image of axes whose content is drawn by `draw`; the same bytes in every run."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -101,4 +107,4 @@ def _draw_image(title: str, size_in: tuple[float, float], draw: Callable[[Axes],
         draw(figure.add_subplot())
         figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     content = base64.b64encode(buffer.getvalue()).decode()
-    return element("img", src=f"data:image/svg+xml;base64,{content}", alt=title, class_="chart")
+    return Chart(title, f"data:image/svg+xml;base64,{content}")

@@ -7,26 +7,28 @@ from typing import Any, Final
 
 import numpy as np
 
+from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.experiments.charts import (
-    COLOURS,
-    Bar,
-    TrainingCurve,
-    bar_chart,
-    curve_chart,
+from pepperscene.learning.evaluation.evaluate import label_image
+from pepperscene.learning.experiments.charts import COLOURS, Bar, Chart, TrainingCurve, bar_chart, curve_chart
+from pepperscene.learning.experiments.jobs import MERGED, JobRunner, NetworkJob
+from pepperscene.learning.experiments.results import ExperimentResult
+from pepperscene.learning.pages import (
+    ImagePanels,
+    class_legend,
+    class_palette_of,
+    ranked_examples,
+    render_page,
 )
-from pepperscene.learning.experiments.pictures import PictureRow
-from pepperscene.learning.experiments.schedule import MERGED
-from pepperscene.learning.page_parts import class_legend, data_table, legend, page_document, picture_row
 from pepperscene.review.report.colours import jpeg_data_uri, png_data_uri
-from pepperscene.review.report.markup import Html, element, fragment
 
 _TITLE: Final = "Training on synthetic images, tested on photographs"
+_SHOWN: Final = ("B", "C", "D", "E")
 
 
 def experiments_page(
-    content: Mapping[str, Any], pictures: Sequence[PictureRow], times: Mapping[str, float]
-) -> Html:
+    content: Mapping[str, Any], pictures: Sequence[ImagePanels], times: Mapping[str, float]
+) -> str:
     """The page of a result of `run_experiments`.
 
     Args:
@@ -34,15 +36,39 @@ def experiments_page(
         pictures: photographs with predictions.
         times: seconds of each training and test.
     """
-    return page_document(
+    by_key = {item["key"]: item for item in content["experiments"]}
+    # A to E in common classes.
+    results = {key: by_key[MERGED] if key == "A" and MERGED in by_key else by_key[key] for key in "ABCDE"}
+    ran = {key: item for key, item in results.items() if item["ran"]}
+    names = [measure["name"] for measure in next(iter(ran.values()))["measures"]]
+    groups = [
+        (
+            name,
+            [
+                Bar(key, *(item["measures"][at][part] for part in ("value", "low", "high")))
+                for key, item in ran.items()
+            ],
+        )
+        for at, name in enumerate(names)
+    ]
+    classes = ClassTable.parse(content["classes"])
+    return render_page(
+        "experiments.html",
         _TITLE,
-        _introduction(content),
-        _result_section(content),
-        _difference_section(content),
-        _organ_section(content),
-        _picture_section(content, pictures),
-        _curve_section(content),
-        _used_section(content, times),
+        content=content,
+        format_measure=format_measure,
+        measured=names,
+        result_rows=[_result_row(key, item, len(names)) for key, item in results.items()],
+        missing=[(key, item["why"]) for key, item in results.items() if not item["ran"]],
+        bars=bar_chart("IoU by class and experiment, in percent", groups),
+        experiment_colours=[(COLOURS[key], f"{key}: {_short(item['title'])}") for key, item in ran.items()],
+        organ_rows=_organ_rows(by_key) if MERGED in by_key else [],
+        classes=class_legend(classes, np.arange(len(classes), dtype=np.uint8)),
+        images=pictures,
+        curves=_curves(content["trainings"]),
+        image_lines=_image_lines(content),
+        training_lines=_training_lines(content),
+        version_lines=_version_lines(content, times),
     )
 
 
@@ -58,57 +84,44 @@ def format_measure(measure: Mapping[str, Any], *, signed: bool = False) -> str:
     return text if deviation is None else f"{text} ± {100 * deviation:.1f}"
 
 
-def _introduction(content: Mapping[str, Any]) -> Html:
-    options, real = content["options"], content["real"]
-    seeds = options["seeds"]
-    networks = "one network" if seeds == 1 else f"{seeds} networks with different seeds"
-    folds = len(real["folds"])
-    trained = f"{networks} ({options['training']['model']}) of each kind"
-    photographs = f"{real['images']:,} photographs ({real['name']}) in {folds} fold{'s' * (folds > 1)}"
-    text = (
-        f"The experiments of Barth et al. 2018 (section 2.8) with {trained}. {photographs}; "
-        "no network was tested on a photograph that trained it, and none was chosen by test images."
-    )
-    return element("p", text)
+def picture_rows(
+    results: Mapping[str, ExperimentResult],
+    jobs: Sequence[NetworkJob],
+    runner: JobRunner,
+    real: ImageSet,
+    classes: ClassTable,
+) -> tuple[ImagePanels, ...]:
+    """The best, the median and the worst image of experiment B, with predictions of the first seed."""
+    mean_iou = results["B"].image_mean_iou()
+    palette = class_palette_of(classes)
+    rows = []
+    for word, at in ranked_examples(mean_iou):
+        name = results["B"].images[at][1]
+        image = real.select("colour", "classes")[real.names().index(name)]
+        assert image.colour is not None
+        assert image.classes is not None
+        panels = [
+            ("photograph", jpeg_data_uri(image.colour)),
+            ("truth", png_data_uri(palette[classes.indices(image.classes)])),
+        ]
+        for experiment in _SHOWN:
+            job = _job_that_tests(jobs, experiment, name)
+            if job is not None:
+                model = runner.load(job)
+                _, prediction = label_image(model, classes, classes.merging(model.classes), image)
+                panels.append((experiment, png_data_uri(palette[prediction])))
+        heading = f"{word.capitalize()} of B: {name}, mean IoU {100 * mean_iou[at]:.1f} %"
+        rows.append(ImagePanels(heading, name, image.colour.shape[:2], panels))
+    return tuple(rows)
 
 
-def _main_results(content: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Letter and result of A to E in common classes."""
-    by_key = {item["key"]: item for item in content["experiments"]}
-    return [(key, by_key[MERGED] if key == "A" and MERGED in by_key else by_key[key]) for key in "ABCDE"]
-
-
-def _result_section(content: Mapping[str, Any]) -> Html:
-    results = _main_results(content)
-    ran = [(key, item) for key, item in results if item["ran"]]
-    names = [measure["name"] for measure in ran[0][1]["measures"]]
-    rows = [_result_row(key, item, len(names)) for key, item in results]
-    groups = [
-        (
-            name,
-            [
-                Bar(key, *(item["measures"][at][part] for part in ("value", "low", "high")))
-                for key, item in ran
-            ],
-        )
-        for at, name in enumerate(names)
-    ]
-    note = (
-        "IoU in %, [95 % interval over images] ± standard deviation over seeds. Confusion matrices of all "
-        "images, seeds and folds are added. A class that is neither in the masks nor predicted has no IoU "
-        "(-) and is not in the mean."
-    )
-    missing = [f"{key} was not run: {item['why']}." for key, item in results if not item["ran"]]
-    return element(
-        "section",
-        element("h2", "IoU by experiment and class"),
-        element("p", f"Classes: {content['classes'].replace(',', ', ')}."),
-        data_table("IoU by experiment", ("experiment", "images", *names), rows),
-        element("p", note),
-        *(element("p", text) for text in missing),
-        bar_chart("IoU by class and experiment, in percent", groups),
-        legend([(COLOURS[key], f"{key}: {_short(item['title'])}") for key, item in ran]),
-    )
+def _job_that_tests(jobs: Sequence[NetworkJob], experiment: str, name: str) -> NetworkJob | None:
+    """The first job, that is of the first seed, that is tested on an image in an experiment."""
+    for job in jobs:
+        for test in job.tests:
+            if test.experiment == experiment and any(name in images.names() for images in test.images):
+                return job
+    return None
 
 
 def _short(title: str) -> str:
@@ -122,66 +135,27 @@ def _result_row(key: str, item: Mapping[str, Any], columns: int) -> list[str]:
     return [name, f"{item['images']:,}", *map(format_measure, item["measures"])]
 
 
-def _difference_section(content: Mapping[str, Any]) -> Html:
-    lines = []
-    for item in content["differences"]:
-        mean = item["measures"][-1]
-        parts = ", ".join(
-            f"{measure['name']} {format_measure(measure, signed=True)}" for measure in item["measures"][:-1]
-        )
-        heading = f"{item['first']} above {item['second']} by {format_measure(mean, signed=True)}"
-        lines.append(element("li", element("strong", heading), f" of mean IoU; {parts}"))
-    note = "Percentage points with 95 % intervals of paired differences over the same images."
-    return element("section", element("h2", "Differences"), element("ul", *lines), element("p", note))
-
-
-def _organ_section(content: Mapping[str, Any]) -> Html:
+def _organ_rows(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Experiment A in its own classes, where the others have fewer."""
-    results = {item["key"]: item for item in content["experiments"]}
-    if MERGED not in results:
-        return fragment()
-    rows = [
-        [measure["name"], *format_measure(measure).partition(" ± ")[::2]]
+    return [
+        (measure["name"], *format_measure(measure).partition(" ± ")[::2])
         for measure in results["A"]["measures"]
     ]
-    heads = ("class", "IoU, % [95 %]", "sd over seeds")
-    title = "Experiment A in all eight classes"
-    return element("section", element("h2", title), data_table(title, heads, rows))
 
 
-def _picture_section(content: Mapping[str, Any], pictures: Sequence[PictureRow]) -> Html:
-    classes = ClassTable.parse(content["classes"])
-    parts = [class_legend(classes, np.arange(len(classes), dtype=np.uint8))]
-    for row in pictures:
-        panels = [
-            ("photograph", jpeg_data_uri(row.photo)),
-            *((name, png_data_uri(image)) for name, image in row.panels),
-        ]
-        heading = f"{row.word.capitalize()} of B: {row.name}, mean IoU {100 * row.mean_iou:.1f} %"
-        parts.append(element("h3", heading))
-        parts.append(picture_row(panels, row.name, (row.photo.shape[0], row.photo.shape[1])))
-    title = "Photographs and predictions of the networks of seed 1"
-    return element("section", element("h2", title), *parts)
-
-
-def _curve_section(content: Mapping[str, Any]) -> Html:
-    parts: list[Html] = []
-    keys = dict.fromkeys(training["experiment"] for training in content["trainings"])
-    for key in sorted(keys):
-        trainings = [item for item in content["trainings"] if item["experiment"] == key]
+def _curves(trainings: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Chart]]]:
+    """Loss and validation of the trainings of each experiment."""
+    groups = []
+    for key in sorted({training["experiment"] for training in trainings}):
         charts = []
         for field, label in (("loss", "loss"), ("mean_iou", "mean IoU of the validation")):
-            curves = [_curve(item, field) for item in trainings]
+            curves = [_curve(item, field) for item in trainings if item["experiment"] == key]
             present = [curve for curve in curves if curve.x]
             if present:
                 title = f"{label} of experiment {key} over steps"
                 charts.append(curve_chart(title, present, label, COLOURS[key[0]]))
-        parts += [element("h3", f"Experiment {key}"), element("div", *charts, class_="pair")]
-    note = (
-        "s: seed, f: fold. The network of A is the state with the highest mean IoU on its synthetic "
-        "validation images. Trainings without validation images use their last state."
-    )
-    return element("section", element("h2", "Trainings"), element("p", note), *parts)
+        groups.append((key, charts))
+    return groups
 
 
 def _curve(training: Mapping[str, Any], field: str) -> TrainingCurve:
@@ -189,20 +163,6 @@ def _curve(training: Mapping[str, Any], field: str) -> TrainingCurve:
     points = [(entry["step"], entry[field]) for entry in training["log"] if entry[field] is not None]
     name = f"s{training['seed']}{fold}"
     return TrainingCurve(name, tuple(x for x, _ in points), tuple(y for _, y in points))
-
-
-def _used_section(content: Mapping[str, Any], times: Mapping[str, float]) -> Html:
-    """What the experiments used, and how long they took."""
-    return element(
-        "section",
-        element("h2", "What was used"),
-        element("h3", "Images"),
-        _list(_image_lines(content)),
-        element("h3", "Training"),
-        _list(_training_lines(content)),
-        element("h3", "Versions and times"),
-        _list(_version_lines(content, times)),
-    )
 
 
 def _image_lines(content: Mapping[str, Any]) -> list[str]:
@@ -263,7 +223,3 @@ def _version_lines(content: Mapping[str, Any], times: Mapping[str, float]) -> li
     trained = sum(seconds for name, seconds in times.items() if "_tests_" not in name)
     tested = sum(seconds for name, seconds in times.items() if "_tests_" in name)
     return [f"{versions}.", f"trainings {trained:,.0f} s, tests {tested:,.0f} s in all."]
-
-
-def _list(lines: Sequence[str]) -> Html:
-    return element("ul", *(element("li", line) for line in lines))

@@ -17,11 +17,16 @@ from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError, OutputError, short_repr
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.experiments.page import experiments_page
-from pepperscene.learning.experiments.pictures import picture_rows
+from pepperscene.learning.experiments.jobs import (
+    MERGED,
+    NO_OTHER,
+    TITLES,
+    JobRunner,
+    NetworkJob,
+    schedule_jobs,
+)
+from pepperscene.learning.experiments.page import experiments_page, picture_rows
 from pepperscene.learning.experiments.results import ExperimentResult, collect_result, compare_results
-from pepperscene.learning.experiments.runner import JobRunner
-from pepperscene.learning.experiments.schedule import MERGED, NO_OTHER, TITLES, NetworkJob, schedule_jobs
 from pepperscene.learning.experiments.sets import (
     ExperimentSets,
     Sources,

@@ -8,15 +8,17 @@ Lab. Syst. 58:109).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
+from importlib import import_module
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.errors import InputError
+from pepperscene.errors import InputError, SetupError
 
 FloatArray = NDArray[np.float64]
 
@@ -73,39 +75,22 @@ def best_index(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Pre
 
 def ridge(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Predictor:
     """Linear regression on all standardised bands, with a small penalty on the squares of the slopes."""
-    centre, spread = _standard(reflectance)
-    bands, mean = (reflectance - centre) / spread, float(trait.mean())
-    penalty = _RIDGE * len(trait) * np.eye(bands.shape[1])
-    slopes = np.linalg.solve(bands.T @ bands + penalty, bands.T @ (trait - mean))
-    return lambda samples: mean + (samples - centre) / spread @ slopes
+    preprocessing, linear = (_scikit_learn(name) for name in ("preprocessing", "linear_model"))
+    scaler, model = preprocessing.StandardScaler(), linear.Ridge(_RIDGE * len(trait))
+    model.fit(scaler.fit_transform(reflectance), trait)
+    return lambda samples: np.asarray(model.predict(scaler.transform(samples)))
 
 
 def partial_least_squares(
     reflectance: FloatArray, trait: FloatArray, _: FloatArray, components: int = _COMPONENTS
 ) -> Predictor:
     """Partial least squares on standardised bands: each component is the direction of largest covariance."""
-    centre, spread = _standard(reflectance)
-    mean = float(trait.mean())
-    bands, rest = (reflectance - centre) / spread, trait - mean
-    weights, loadings, slopes = [], [], []
-    for _component in range(min(components, *reflectance.shape)):
-        weight = bands.T @ rest
-        norm = float(np.linalg.norm(weight))
-        if norm <= 1e-12 * max(1.0, float(np.linalg.norm(trait))):
-            break
-        weight /= norm
-        score = bands @ weight
-        size = float(score @ score)
-        loading, slope = bands.T @ score / size, float(rest @ score) / size
-        bands, rest = bands - np.outer(score, loading), rest - slope * score
-        weights.append(weight)
-        loadings.append(loading)
-        slopes.append(slope)
-    if not weights:
-        return lambda samples: np.full(len(samples), mean)
-    W, P = np.array(weights).T, np.array(loadings).T
-    coefficients = W @ np.linalg.solve(P.T @ W, np.array(slopes))
-    return lambda samples: mean + (samples - centre) / spread @ coefficients
+    model = _scikit_learn("cross_decomposition").PLSRegression(min(components, *reflectance.shape))
+    with warnings.catch_warnings():
+        # Fewer components can explain all of the training.
+        warnings.filterwarnings("ignore", "y residual is constant")
+        model.fit(reflectance, trait)
+    return lambda samples: np.asarray(model.predict(samples)).ravel()
 
 
 REGRESSIONS: Final[Mapping[str, Regression]] = {
@@ -161,7 +146,10 @@ def _correlation(index: FloatArray, trait: FloatArray) -> float:
     return float(a @ b) ** 2 / size if size > 0 else 0.0
 
 
-def _standard(reflectance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and spread `(c,)` of each band; a spread of 1 for bands that do not vary."""
-    spread = reflectance.std(axis=0)
-    return reflectance.mean(axis=0), np.where(spread > 0, spread, 1.0)
+def _scikit_learn(module: str) -> Any:
+    """A module of scikit-learn; raises `SetupError` if it is not installed."""
+    try:
+        return import_module(f"sklearn.{module}")
+    except ImportError:
+        problem = "scikit-learn is not installed, which this baseline needs"
+        raise SetupError(f"{problem}; install it with `pip install 'pepperscene[learn]'`") from None

@@ -1,8 +1,8 @@
 """Planners of views: what they get, and some to compare with.
 
 The one with a map of voxels looks at what is unknown beside the fruit that it has seen. Its idea is that of
-Zaenker et al. 2021, "Viewpoint planning for fruit size and position estimation", IROS, for sweet pepper: a map
-of free, occupied and unknown voxels, and views of many unknown voxels close to fruit.
+Zaenker et al. 2021, "Viewpoint planning for fruit size and position estimation", IROS, for sweet pepper: a
+map of free, occupied and unknown voxels, and views of many unknown voxels close to fruit.
 """
 
 from __future__ import annotations
