@@ -90,7 +90,7 @@ class Camera:
             raise ValueError("the rows of a line scanner are exposed one after the other, labels as well")
         pose.setflags(write=False)
         object.__setattr__(self, "pose", pose)
-        check_field(self.lens, self.sensor)
+        check_field(self.lens, self._ray_sensor)
 
     @property
     def width(self) -> int:
@@ -106,6 +106,11 @@ class Camera:
     def intrinsics(self) -> NDArray[np.float64]:
         """`(3, 3)` pinhole matrix in image pixels."""
         return intrinsics_matrix(self.lens, self.sensor)
+
+    @property
+    def _ray_sensor(self) -> Sensor:
+        """The photosites whose rays differ: of a line scanner its line, which all rows share."""
+        return self.sensor.line if self.sensor.line_scan else self.sensor
 
     @property
     def aperture_radius_m(self) -> float:
@@ -159,25 +164,30 @@ class Camera:
         these if the image is large.
         """
         if rows is None:
-            return pixel_slopes(self.lens, self.sensor, 0.0)
-        return corner_slopes(self.lens, self.sensor, rows)
+            return pixel_slopes(self.lens, self._ray_sensor, 0.0)
+        return corner_slopes(self.lens, self._ray_sensor, rows)
 
     def border_slopes(self) -> tuple[NDArray[np.float64], ...]:
         """The `ray_slopes` along the top and bottom, `(w + 1, 2)`, left and right border, `(h + 1, 2)`.
 
         Those of a line scanner are along the borders of its line: h is 1.
         """
-        return border_slopes(self.lens, self.sensor)
+        return border_slopes(self.lens, self._ray_sensor)
 
     def slope_limits(self) -> NDArray[np.float64]:
         """`(2, 2)` the least and the largest of the `ray_slopes`, (x/z, y/z) each."""
-        return slope_limits(self.lens, self.sensor)
+        return slope_limits(self.lens, self._ray_sensor)
 
     def pixel_directions(self, rows: slice | None = None) -> NDArray[np.float64]:
         """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only.
 
         Those of some rows, `(n, w, 3)`, take no more memory than these if the image is large.
         """
+        if self.sensor.line_scan:
+            line = centre_directions(self.lens, self._ray_sensor)
+            return np.broadcast_to(line, (self.height, *line.shape[1:]))[
+                slice(None) if rows is None else rows
+            ]
         if rows is None:
             return centre_directions(self.lens, self.sensor)
         return row_directions(self.lens, self.sensor, rows)
@@ -210,7 +220,7 @@ class Camera:
         slopes = np.stack([x / depth_z, y / depth_z], axis=-1)
         valid = in_front & (np.hypot(slopes[:, 0], slopes[:, 1]) < self.lens.distortion.fold_radius)
         slopes[~valid] = np.nan
-        matrix = intrinsics_matrix(self.lens, self.sensor.line if self.sensor.line_scan else self.sensor)
+        matrix = intrinsics_matrix(self.lens, self._ray_sensor)
         with np.errstate(over="ignore", invalid="ignore"):  # points very close to the camera's plane
             return self.lens.distortion.distort(slopes) * matrix[[0, 1], [0, 1]] + matrix[:2, 2]
 
@@ -242,7 +252,7 @@ class Camera:
     def _project_lines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixel coordinates `(n, 2)` of world points in the image of a line scanner."""
         motion, line_time_s = self.motion or Motion(), self.sensor.line_time_s
-        matrix = intrinsics_matrix(self.lens, self.sensor.line)
+        matrix = intrinsics_matrix(self.lens, self._ray_sensor)
         times = crossing_times(points, self.pose, motion, matrix, self._image_points, line_time_s)
         pixels = self._image_points(motion.to_camera(self.pose, points, times).T)
         pixels[:, 1] = times / line_time_s + 0.5 * self.height

@@ -1,6 +1,7 @@
 """The pixels of a lens and a sensor: pinhole matrix, rays through pixels, and limits of the field of view.
 
-Arrays of whole images are shared by all cameras with this lens and sensor, at any pose.
+Arrays of whole images are shared by all cameras with this lens and sensor, at any pose. The sensor of a line
+scanner is its line, `Sensor.line`, whose rays are the same in all rows of the image.
 """
 
 from __future__ import annotations
@@ -60,9 +61,6 @@ def check_field(lens: Lens, sensor: Sensor) -> None:
     Raises:
         InputError: the lens and the sensor do not fit together.
     """
-    if sensor.line_scan:
-        check_field(lens, sensor.line)
-        return
     value = 1e3 * lens.focal_length_m
     focal_px = lens.focal_length_m / sensor.pixel_pitch_m * max(lens.fy_over_fx, 1.0)
     if focal_px > _MAX_FOCAL_PX:
@@ -84,12 +82,7 @@ def check_field(lens: Lens, sensor: Sensor) -> None:
 
 @lru_cache(maxsize=8)
 def pixel_slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64]:
-    """Undistorted slopes of pixel corners `(h + 1, w + 1, 2)`, shift 0, or centres `(h, w, 2)`, shift 0.5.
-
-    Those of a line scanner are the same in all rows of its image, and returned for one: h is 1.
-    """
-    if sensor.line_scan:
-        return pixel_slopes(lens, sensor.line, shift)
+    """Undistorted slopes of pixel corners `(h + 1, w + 1, 2)`, shift 0, or centres `(h, w, 2)`, shift 0.5."""
     extra = 1 if shift == 0 else 0
     u, v = np.arange(sensor.columns + extra) + shift, np.arange(sensor.rows + extra) + shift
     slopes = _undistorted_slopes(lens, sensor, u, v)
@@ -100,10 +93,8 @@ def pixel_slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64
 def corner_slopes(lens: Lens, sensor: Sensor, rows: slice) -> NDArray[np.float64]:
     """Undistorted slopes of pixel corners in some of the h + 1 rows of corners, `(n, w + 1, 2)`; read-only.
 
-    Those of a large image are computed anew. Those of a line scanner are of its line: h is 1.
+    Those of a large image are computed anew.
     """
-    if sensor.line_scan:
-        return corner_slopes(lens, sensor.line, rows)
     if is_whole(sensor.columns, sensor.rows):
         return pixel_slopes(lens, sensor, 0.0)[rows]
     return _undistorted_slopes(lens, sensor, np.arange(sensor.columns + 1), np.arange(sensor.rows + 1)[rows])
@@ -112,10 +103,8 @@ def corner_slopes(lens: Lens, sensor: Sensor, rows: slice) -> NDArray[np.float64
 @lru_cache(maxsize=8)
 def border_slopes(lens: Lens, sensor: Sensor) -> tuple[NDArray[np.float64], ...]:
     """Undistorted slopes of the pixel corners along each border: top and bottom `(w + 1, 2)`, left and right
-    `(h + 1, 2)`; read-only. Those of a line scanner are of its line: h is 1.
+    `(h + 1, 2)`; read-only.
     """
-    if sensor.line_scan:
-        return border_slopes(lens, sensor.line)
     if is_whole(sensor.columns, sensor.rows):
         slopes = pixel_slopes(lens, sensor, 0.0)
         return slopes[0], slopes[-1], slopes[:, 0], slopes[:, -1]
@@ -131,8 +120,6 @@ def border_slopes(lens: Lens, sensor: Sensor) -> tuple[NDArray[np.float64], ...]
 @lru_cache(maxsize=8)
 def slope_limits(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     """`(2, 2)` the least and the largest undistorted slopes (x/z, y/z) of all pixel corners; read-only."""
-    if sensor.line_scan:
-        return slope_limits(lens, sensor.line)
     limits = []
     for rows in row_strips(sensor.columns + 1, sensor.rows + 1):
         slopes = corner_slopes(lens, sensor, rows).reshape(-1, 2)
@@ -145,16 +132,12 @@ def slope_limits(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
 @lru_cache(maxsize=8)
 def centre_directions(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only."""
-    directions = _directions(pixel_slopes(lens, sensor, 0.5))
-    # The line of a line scanner looks in the same directions at all times.
-    return (
-        np.broadcast_to(directions, (sensor.rows, *directions.shape[1:])) if sensor.line_scan else directions
-    )
+    return _directions(pixel_slopes(lens, sensor, 0.5))
 
 
 def row_directions(lens: Lens, sensor: Sensor, rows: slice) -> NDArray[np.float64]:
     """`centre_directions` of some rows of pixels, `(n, w, 3)`; those of a large image are computed anew."""
-    if sensor.line_scan or is_whole(sensor.columns, sensor.rows):
+    if is_whole(sensor.columns, sensor.rows):
         return centre_directions(lens, sensor)[rows]
     u, v = np.arange(sensor.columns) + 0.5, np.arange(sensor.rows)[rows] + 0.5
     return _directions(_undistorted_slopes(lens, sensor, u, v))

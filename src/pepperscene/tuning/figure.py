@@ -151,24 +151,12 @@ def _draw_spectra(part: SubFigure, spectra: Sequence[tuple[str, SpectrumFit]]) -
     axes = part.subplots(1, 2)
     part.subplots_adjust(left=0.06, right=_RIGHT, bottom=0.17, top=0.88, wspace=0.12)
     for axis, (name, spectrum) in zip(axes, spectra, strict=False):
-        axis.plot(
-            spectrum.wavelength_nm,
-            spectrum.before,
-            color=_BEFORE,
-            label=f"before, RMSE {spectrum.rmse_before:.4f}",
-        )
-        axis.plot(
-            spectrum.wavelength_nm,
-            spectrum.after,
-            color=_AFTER,
-            label=f"after, RMSE {spectrum.rmse_after:.4f}",
-        )
-        axis.plot(spectrum.wavelength_nm, spectrum.target, color=_MEASURED, ls="--", label="measured")
-        axis.set(
-            xlim=(spectrum.wavelength_nm[0], spectrum.wavelength_nm[-1]),
-            ylim=(0, None),
-            xlabel="wavelength, nm",
-        )
+        nm = spectrum.wavelength_nm
+        before, after = f"before, RMSE {spectrum.rmse_before:.4f}", f"after, RMSE {spectrum.rmse_after:.4f}"
+        axis.plot(nm, spectrum.before, color=_BEFORE, label=before)
+        axis.plot(nm, spectrum.after, color=_AFTER, label=after)
+        axis.plot(nm, spectrum.target, color=_MEASURED, ls="--", label="measured")
+        axis.set(xlim=(nm[0], nm[-1]), ylim=(0, None), xlabel="wavelength, nm")
         axis.set_title(f"Reflectance: {textwrap.shorten(name, 70)}")
         axis.legend(loc="upper left")
     for axis in axes[len(spectra) :]:

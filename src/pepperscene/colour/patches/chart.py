@@ -112,21 +112,19 @@ def chart_names() -> tuple[str, ...]:
 
 
 def _check_corners(corners: ArrayLike, shape: tuple[int, ...], where: str | Path) -> Floats:
-    points = np.asarray(corners, float)
+    points, (height, width, *_) = np.asarray(corners, float), shape
     if points.shape != (4, 2) or not np.isfinite(points).all():
         problem = "must be four pairs of pixel coordinates x, y"
-        raise InputError(where, problem, key="corners", value=points.tolist())
-    height, width = shape[:2]
-    if (points < 0).any() or (points > [width, height]).any():
+    elif (points < 0).any() or (points > [width, height]).any():
         problem = f"must be inside the picture, {width}x{height} pixels"
-        raise InputError(where, problem, key="corners", value=points.tolist())
-    # A convex quadrangle turns the same way at every corner.
-    edges = np.roll(points, -1, axis=0) - points
-    turns = edges[:, 0] * np.roll(edges[:, 1], -1) - edges[:, 1] * np.roll(edges[:, 0], -1)
-    if not ((turns > 0).all() or (turns < 0).all()):
+    else:
+        # A convex quadrangle turns the same way at every corner.
+        edges = np.roll(points, -1, axis=0) - points
+        turns = edges[:, 0] * np.roll(edges[:, 1], -1) - edges[:, 1] * np.roll(edges[:, 0], -1)
+        if (turns > 0).all() or (turns < 0).all():
+            return points
         problem = "must be in order around the chart"
-        raise InputError(where, problem, key="corners", value=points.tolist())
-    return points
+    raise InputError(where, problem, key="corners", value=points.tolist())
 
 
 def _best_orientation(
