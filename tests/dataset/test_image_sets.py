@@ -178,7 +178,7 @@ def test_missing_torch_is_a_setup_error(small, monkeypatch):
             raise ModuleNotFoundError("No module named 'torch'", name="torch")
         return original(name, *args, **kwargs)
 
-    monkeypatch.delitem(sys.modules, "pepperscene.dataset.readers.torch_dataset", raising=False)
+    monkeypatch.delitem(sys.modules, "pepperscene.dataset.readers.torch_data", raising=False)
     monkeypatch.setattr(builtins, "__import__", import_without_torch)
     with pytest.raises(SetupError, match="`pip install torch`"):
         torch_images(small.folder)

@@ -7,8 +7,14 @@ import pytest
 from memory_set import SIZE, coded_arrays
 
 from pepperscene.dataset.readers.torch_augment import Augmentation
-from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
-from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
+from pepperscene.dataset.readers.torch_augment_steps import (
+    ColourJitter,
+    RandomBlur,
+    RandomFlip,
+    RandomJpeg,
+    RandomNoise,
+    RandomResizedCrop,
+)
 from pepperscene.errors import ArgumentError
 
 PADDING = {"image": 0, "mask": 255, "instances": 0, "distance": np.inf, "depth_z": np.inf}

@@ -9,7 +9,7 @@ from memory_set import coded_set, image_of, labelled, memory_set
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.torch_augment import Augmentation
-from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
+from pepperscene.dataset.readers.torch_augment_steps import RandomFlip, RandomResizedCrop
 from pepperscene.dataset.readers.torch_images import collate_detections, torch_detections
 from pepperscene.errors import InputError
 

@@ -19,7 +19,7 @@ from processes import run_python
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.torch_augment import Augmentation
-from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip
+from pepperscene.dataset.readers.torch_augment_steps import RandomFlip
 from pepperscene.dataset.readers.torch_images import collate_detections, torch_detections, torch_images
 from pepperscene.errors import InputError, SetupError
 from pepperscene.export import export_dataset

@@ -11,9 +11,17 @@ from typing import Any, Self, final
 
 import numpy as np
 
-from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
-from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
-from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS, Arrays, AugmentationStep
+from pepperscene.dataset.readers.torch_augment_steps import (
+    ARRAY_KEYS,
+    Arrays,
+    AugmentationStep,
+    ColourJitter,
+    RandomBlur,
+    RandomFlip,
+    RandomJpeg,
+    RandomNoise,
+    RandomResizedCrop,
+)
 from pepperscene.errors import ArgumentError
 
 

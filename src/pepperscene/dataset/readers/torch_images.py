@@ -12,12 +12,12 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.open import RenderedSet, open_images
 from pepperscene.dataset.readers.torch_augment import Augmentation
-from pepperscene.dataset.readers.torch_augment_step import ARRAY_KEYS
+from pepperscene.dataset.readers.torch_augment_steps import ARRAY_KEYS
 from pepperscene.dataset.splits import Splits
 from pepperscene.errors import ArgumentError, SetupError
 
 if TYPE_CHECKING:
-    from pepperscene.dataset.readers.torch_dataset import SampleOptions, TorchDetections, TorchImages
+    from pepperscene.dataset.readers.torch_data import SampleOptions, TorchDetections, TorchImages
 
 
 Sample = Mapping[str, Any]
@@ -75,8 +75,7 @@ def torch_images(
         raise ArgumentError("keys", f"must be some of {allowed}, not {', '.join(unknown) or 'none'}")
     options = _sample_options(augmentation, transform, dtype, tensors, seed)
     images = _open_split(source, splits, split)
-    from pepperscene.dataset.readers.mask_classes import MaskClasses
-    from pepperscene.dataset.readers.torch_dataset import TorchImages
+    from pepperscene.dataset.readers.torch_data import MaskClasses, TorchImages
 
     is_mapped = classes is not None or ripe_from is not None
     mapping = MaskClasses.parse(images, classes, ripe_from) if is_mapped else None
@@ -132,7 +131,7 @@ def torch_detections(
         raise ArgumentError("min_pixels", f"must be an integer from 1, not {min_pixels!r}")
     ids = _class_ids(classes)
     options = _sample_options(augmentation, transform, dtype, tensors, seed)
-    from pepperscene.dataset.readers.torch_dataset import TorchDetections
+    from pepperscene.dataset.readers.torch_data import TorchDetections
 
     return TorchDetections(_open_split(source, splits, split), options, ids, int(min_pixels))
 
@@ -167,8 +166,7 @@ def _sample_options(
     if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
         raise ArgumentError("seed", f"must be an integer from 0, or None, not {seed!r}")
     try:
-        from pepperscene.dataset.readers.torch_dataset import SampleOptions
-        from pepperscene.dataset.readers.torch_tensors import choose_tensors
+        from pepperscene.dataset.readers.torch_data import SampleOptions, choose_tensors
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise

@@ -12,8 +12,14 @@ from PIL import Image
 
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.readers.torch_augment import Augmentation
-from pepperscene.dataset.readers.torch_augment_colour import ColourJitter, RandomBlur, RandomJpeg, RandomNoise
-from pepperscene.dataset.readers.torch_augment_geometry import RandomFlip, RandomResizedCrop
+from pepperscene.dataset.readers.torch_augment_steps import (
+    ColourJitter,
+    RandomBlur,
+    RandomFlip,
+    RandomJpeg,
+    RandomNoise,
+    RandomResizedCrop,
+)
 from pepperscene.errors import InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.options import TrainingOptions
