@@ -43,6 +43,7 @@ _RIDGE: Final = 1e-3
 """Penalty of ridge regression, in variances of standardised bands. Chosen: small, but enough that similar
 bands do not get large slopes of opposite signs."""
 
+_ROUNDING: Final = 1e-6  # relative; reflectances have 32 bits
 _COMPONENTS: Final = 6  # chosen: PROSPECT's leaf has as many parameters between 400 and 1000 nm
 
 
@@ -85,7 +86,10 @@ def partial_least_squares(
     reflectance: FloatArray, trait: FloatArray, _: FloatArray, components: int = _COMPONENTS
 ) -> Predictor:
     """Partial least squares on standardised bands: each component is the direction of largest covariance."""
-    model = _scikit_learn("cross_decomposition").PLSRegression(min(components, *reflectance.shape))
+    # Components beyond the rank of the bands would fit rounding errors.
+    singular = np.linalg.svd(reflectance - reflectance.mean(axis=0), compute_uv=False)
+    rank = max(1, int(np.count_nonzero(singular > _ROUNDING * singular[0])))
+    model = _scikit_learn("cross_decomposition").PLSRegression(min(components, rank))
     with warnings.catch_warnings():
         # Fewer components can explain all of the training.
         warnings.filterwarnings("ignore", "y residual is constant")
