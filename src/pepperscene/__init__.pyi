@@ -17,6 +17,7 @@ from .building.viewpoints import random_poses as random_poses
 from .camera import Camera as Camera
 from .camera import Developing as Developing
 from .camera import Motion as Motion
+from .camera import Partners as Partners
 from .camera import PoseList as PoseList
 from .camera import Trajectory as Trajectory
 from .camera import arc_path as arc_path

@@ -39,9 +39,8 @@ CHANNELS = ["B01.475nm", "B02.560nm", "B03.668nm", "B04.717nm", "B05.842nm"]
 class BandStandIn(StandIn):
     """Renders noise in the bands of the camera's sensor, and labels of a plane."""
 
-    def render(self, camera, outputs=(), quality="standard", seed=0, white_reference=None, **others):
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
         frame = super().render(camera, outputs, quality, seed, **others)
-        assert (white_reference is not None) == ("reflectance" in outputs)
         rng = np.random.default_rng(seed)
         shape = (camera.height, camera.width, camera.sensor.channels)
         bands = rng.uniform(0.0, 1.0, shape).astype(np.float32)

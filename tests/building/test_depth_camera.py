@@ -44,9 +44,9 @@ def measured(camera, seed):
 class DepthStandIn(StandIn):
     """Renders noise, also that of a depth camera."""
 
-    def render(self, camera, outputs=(), quality="standard", seed=0, depth_camera=None, **others):
+    def render(self, camera, outputs=(), quality="standard", seed=0, *, partners, **others):
         frame = super().render(camera, outputs, quality, seed, **others)
-        assert (depth_camera is not None) == bool({"depth_sensor", "imager_left"} & set(outputs))
+        assert (partners.depth is not None) == bool({"depth_sensor", "imager_left"} & set(outputs))
         images = {**frame.images, **measured(camera, seed)}
         metadata = {**frame.metadata, "depth_camera": {"width": IMAGER[1], "height": IMAGER[0]}}
         metadata["camera"] = {**metadata["camera"], "width": SIZE[1], "height": SIZE[0]}

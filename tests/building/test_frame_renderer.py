@@ -161,16 +161,16 @@ def test_other_cameras_are_passed_only_for_outputs_that_need_them(recipe, fake_r
     for outputs in (("class",), ("flow",), ("class", "stereo"), ("colour_stereo",), ("flow", "stereo")):
         renderer.render(plan.frame(1), outputs)
     renderer.render(plan.frame(plan.frames - 1), ("flow",))
-    others = [call.others for created in fake_renderer.created for call in created.calls]
-    purposes = [None if cameras is None else set(cameras) for cameras in others]
-    assert purposes == [None, {"flow"}, {"stereo"}, {"stereo"}, {"flow", "stereo"}, None]
-    np.testing.assert_array_equal(others[1]["flow"].pose, renderer.camera(plan.frame(2)).pose)
+    partners = [call.partners for created in fake_renderer.created for call in created.calls]
+    given = [{name for name in ("flow", "stereo", "depth") if getattr(one, name)} for one in partners]
+    assert given == [set(), {"flow"}, {"stereo"}, {"stereo"}, {"flow", "stereo"}, set()]
+    np.testing.assert_array_equal(partners[1].flow.pose, renderer.camera(plan.frame(2)).pose)
 
 
 def test_partner_is_one_baseline_to_the_right_and_shares_the_flash(recipe):
     views = FrameRenderer(recipe).views
     spec = recipe.plan.frame(2)
-    camera, partner = views.camera(spec), views.others(spec, ["stereo"])["stereo"]
+    camera, partner = views.camera(spec), views.partners(spec, ["stereo"]).stereo
     rotation = camera.pose[:3, :3]
     np.testing.assert_array_equal(partner.pose[:3, :3], rotation)
     offset = rotation.T @ (partner.pose[:3, 3] - camera.pose[:3, 3])
@@ -185,7 +185,7 @@ def test_partner_has_no_flash_if_the_camera_has_none(recipe):
     camera = recipe.camera.model_copy(update={"flash": "none"})
     developing = recipe.developing.model_copy(update={"white_balance": "daylight"})
     views = FrameRenderer(recipe.model_copy(update={"camera": camera, "developing": developing})).views
-    assert views.others(recipe.plan.frame(0), ["colour_stereo"])["stereo"].flash is None
+    assert views.partners(recipe.plan.frame(0), ["colour_stereo"]).stereo.flash is None
 
 
 @pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
@@ -213,7 +213,7 @@ def test_frustums_include_the_partner(recipe):
     specs = [recipe.plan.frame(step) for step in range(recipe.plan.frames)]
     frustums = views.frustums(specs)
     for spec in specs:
-        partner = replace(views.others(spec, ["stereo"])["stereo"], focus_m=None)
+        partner = replace(views.partners(spec, ["stereo"]).stereo, focus_m=None)
         for slope in partner.ray_slopes()[[1, 1, -2, -2], [1, -2, 1, -2]]:
             corner = partner.pose[:3, :3] @ [*(0.99 * slope), 1.0] + partner.pose[:3, 3]
             assert frustums.intersects(corner[None].astype(np.float32), half_extent).all()

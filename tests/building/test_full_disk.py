@@ -24,9 +24,9 @@ from pepperscene.building.scenes import frame_renderer
 import pytest, stand_in, sys
 
 class Logged(DiscRenderer):
-    def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
         stand_in._log(seed)
-        return super().render(camera, outputs, quality, seed, others)
+        return super().render(camera, outputs, quality, seed, **others)
 
 with pytest.MonkeyPatch.context() as patch:
     remove_plants(patch)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import typer
 from PIL import Image
+from stand_in import SceneStandIn
 from typer.testing import CliRunner
 
 from pepperscene.building.scenes import frame_renderer
@@ -24,14 +25,14 @@ def empty_image(name, seed):
     return np.full(shape, np.inf if name == "distance" else 0, output.dtype)
 
 
-class StubRenderer:
+class StubRenderer(SceneStandIn):
     """Renders empty images of 4 x 4 pixels; checks that the scene is finite."""
 
     def __init__(self, scene):
         assert np.isfinite(scene.mesh.vertices).all()
-        self.scene = scene
+        super().__init__(scene)
 
-    def render(self, camera, outputs=(), quality="standard", seed=0, others=None):
+    def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         images = {name: empty_image(name, seed) if OUTPUTS[name].is_image else {} for name in outputs}
         metadata = camera.to_metadata() | {"width": 4, "height": 4}
         return Frame(images, {"camera": metadata, "instances": {}})

@@ -80,8 +80,8 @@ def check_scene(resolved):
     specs = [plan.frame(step) for step in sorted({0, plan.frames - 1})]
     for spec in specs:
         camera = renderer.views.camera(spec)
-        others = renderer.views.others(spec, ["stereo"]) if resolved.recipe.camera.baseline_mm else {}
-        for view in (camera, *others.values()):
+        outputs = ["stereo"] if resolved.recipe.camera.baseline_mm else []
+        for view in (camera, renderer.views.partners(spec, outputs).stereo or camera):
             assert np.isfinite(view.pose).all()
             assert np.isfinite(view.intrinsics).all()
             assert 0 < view.exposure_s * view.sensor.gain_e_per_dn < math.inf

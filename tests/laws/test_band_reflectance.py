@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from bodies import EVEN_SKY, RANGE_NM, card, matt
 
-from pepperscene.camera import Camera, Developing, WhiteReference, load_flash, load_lens, load_sensor
+from pepperscene.camera import (
+    Camera,
+    Developing,
+    Partners,
+    WhiteReference,
+    load_flash,
+    load_lens,
+    load_sensor,
+)
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Quality, Renderer
@@ -29,7 +37,7 @@ def measured(camera, surface, sky, panel, outputs=("reflectance",)):
     """Outputs of a card half a metre in front of a camera, facing it."""
     mesh = card(0.0, 0.0, 1.0, 1.0, "grey", DISTANCE_M).moved(camera.pose[:3, :3], camera.pose[:3, 3])
     scene = assemble_scene(mesh, {"grey": surface}, sky)
-    return Renderer(scene).render(camera, outputs, QUALITY, white_reference=panel)
+    return Renderer(scene).render(camera, outputs, QUALITY, partners=Partners(white_reference=panel))
 
 
 def looking(direction, up=(0.0, 1.0, 0.0)):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from planes import d435, disparity_errors, plane
 
+from pepperscene.camera import Partners
 from pepperscene.render import Renderer
 from pepperscene.scene import partly_cloudy_sky
 
@@ -20,7 +21,7 @@ MODE = 848, 480  # the mode that Intel recommends
 
 def errors(distance_m: float, depth_camera, sky=None):
     frame = Renderer(plane(distance_m, sky=sky)).render(
-        depth_camera.left, OUTPUTS, "draft", 5, depth_camera=depth_camera
+        depth_camera.left, OUTPUTS, "draft", 5, partners=Partners(depth=depth_camera)
     )
     return disparity_errors(depth_camera, frame["depth_sensor"], frame["depth_z"])
 

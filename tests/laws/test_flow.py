@@ -11,7 +11,7 @@ from test_culling import with_larger_pixels
 from test_ground_truth import cast_rays, distorted_view_of_plants
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.camera import arc_path
+from pepperscene.camera import Partners, arc_path
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
@@ -45,7 +45,7 @@ def target_pixels(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("name", ["class", "instance"])
 def test_flow_leads_to_the_same_labels_in_the_next_frame(views, name):
     renderer, first, second, _ = views
-    frame = renderer.render(first, [name, "flow"], others={"flow": second})
+    frame = renderer.render(first, [name, "flow"], partners=Partners(flow=second))
     following = renderer.render(second, [name])[name]
     at = target_pixels(frame["flow"])
     visible = frame["flow"][..., 2] == 1
@@ -60,8 +60,8 @@ def test_flow_leads_to_the_same_labels_in_the_next_frame(views, name):
 def test_flow_forward_and_backward_returns_to_the_pixel(views):
     # For points visible from both cameras, to the extent of a pixel.
     renderer, first, second, _ = views
-    forward = renderer.render(first, ["flow", "instance"], others={"flow": second})
-    backward = renderer.render(second, ["flow", "instance"], others={"flow": first})
+    forward = renderer.render(first, ["flow", "instance"], partners=Partners(flow=second))
+    backward = renderer.render(second, ["flow", "instance"], partners=Partners(flow=first))
     at = target_pixels(forward["flow"])
     both = (forward["flow"][..., 2] == 1) & (backward["flow"][..., 2][at] == 1)
     flat = both & ~edges(forward["instance"]) & ~edges(backward["instance"])[at]
@@ -76,7 +76,7 @@ def test_disparity_is_focal_length_times_baseline_over_depth(views):
         replace(view, lens=replace(view.lens, distortion=type(view.lens.distortion)()))
         for view in (first, partner)
     )
-    frame = renderer.render(first, ["stereo", "depth_z"], others={"stereo": partner})
+    frame = renderer.render(first, ["stereo", "depth_z"], partners=Partners(stereo=partner))
     near = np.isfinite(frame["depth_z"])
     visible = frame["stereo"][..., 2] == 1
     disparity = first.intrinsics[0, 0] * BASELINE_M / frame["depth_z"][near].astype(float)
@@ -96,7 +96,7 @@ def test_visibility_equals_that_of_an_independent_ray_caster(views, name):
     # 300 random pixels whose point is inside the other image, half of them hidden.
     renderer, first, second, partner = views
     other = second if name == "flow" else partner
-    frame = renderer.render(first, [name, "position", "distance"], others={name: other})
+    frame = renderer.render(first, [name, "position", "distance"], partners=Partners(**{name: other}))
     flow = frame[name]
     v, u = np.mgrid[:600, :800] + 0.5
     inside = (
@@ -120,7 +120,7 @@ def test_culled_scene_contains_everything_that_the_stereo_partner_sees():
     changes = {"row.plants_front": 5, "row.plants_back": 0, "views.azimuth_deg": [0.0, 0.0], "plan.frames": 3}
     recipe = load_recipe("barth2018", {**changes, "camera.baseline_mm": 500.0})
     frames, spec = FrameRenderer(recipe), recipe.plan.frame(1)
-    partner = with_larger_pixels(frames.views.others(spec, ["stereo"])["stereo"], 8)
+    partner = with_larger_pixels(frames.views.partners(spec, ["stereo"]).stereo, 8)
     # Culled for a camera without a partner, some of it is simplified: the test has power.
     scenes = [FrameRenderer(load_recipe("barth2018", changes)).scene(spec, traced=False)]
     for frames.culled in (False, True):

@@ -9,7 +9,7 @@ import pytest
 from bodies import axis_camera, card, sheet
 from test_ground_truth import cast_rays, distorted_view_of_plants
 
-from pepperscene.camera import Camera, Motion, arc_path
+from pepperscene.camera import Camera, Motion, Partners, arc_path
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import concatenate_meshes, rectangle
 from pepperscene.render import Renderer
@@ -120,7 +120,9 @@ def test_points_are_hidden_from_the_pose_of_their_row_in_the_other_image(name):
     still = axis_camera(96, 96, flash=False)
     other = replace(still, sensor=replace(still.sensor, line_time_s=1e-4), motion=Motion((8.0, 0.0, 0.0)))
     mesh = concatenate_meshes([sheet(4.0, 4.0, 1.0, "wall"), card(0.0, 0.0, 0.02, 4.0, "strip", 0.5)])
-    frame = Renderer(assemble_scene(mesh)).render(still, [name, "position"], others={name: other})
+    frame = Renderer(assemble_scene(mesh)).render(
+        still, [name, "position"], partners=Partners(**{name: other})
+    )
     wall = frame["position"][..., 2] > 0.9
     points, flow = frame["position"][wall].astype(float), frame[name][wall]
     pixels = other.project(points)
@@ -155,7 +157,7 @@ def test_positions_projected_to_the_next_camera_match_the_flow(plants, name, row
         first = replace(first, motion=None)
     if rows == "first":
         second = replace(second, motion=None)
-    frame = renderer.render(first, [name, "position"], others={name: second})
+    frame = renderer.render(first, [name, "position"], partners=Partners(**{name: second}))
     points, flow = frame["position"].reshape(-1, 3).astype(float), frame[name].reshape(-1, 3)
     seen = np.isfinite(points).all(axis=1) & (flow[:, 2] == 1)
     assert seen.sum() > 10_000
@@ -174,6 +176,6 @@ def test_positions_projected_to_the_next_camera_match_the_flow(plants, name, row
 def test_the_sky_is_so_far_away_that_a_translation_does_not_move_it(plants):
     renderer, view, _ = plants
     turned = replace(view, motion=Motion((3.0, 0.0, 0.0)))
-    frame = renderer.render(replace(view, motion=None), ["flow", "class"], others={"flow": turned})
+    frame = renderer.render(replace(view, motion=None), ["flow", "class"], partners=Partners(flow=turned))
     sky = frame["class"] == 0
     assert np.abs(frame["flow"][sky][:, :2]).max() < 1e-3

@@ -15,6 +15,7 @@ import pytest
 from bodies import card
 from planes import ALONG_Y, d435, plane
 
+from pepperscene.camera import Partners
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
@@ -39,7 +40,9 @@ def test_the_depth_of_a_near_card_is_a_hole(card_m, depth_camera):
     left = depth_camera.left
 
     # The pixels of the imager.
-    frame = renderer.render(left, ("depth_sensor", "depth_z"), "draft", 5, depth_camera=depth_camera)
+    frame = renderer.render(
+        left, ("depth_sensor", "depth_z"), "draft", 5, partners=Partners(depth=depth_camera)
+    )
     near = frame["depth_z"] < nearest
     assert near.mean() > 0.05
     assert np.isfinite(frame["depth_sensor"][near]).mean() < 0.05
@@ -49,7 +52,11 @@ def test_the_depth_of_a_near_card_is_a_hole(card_m, depth_camera):
     pose = left.pose.copy()
     pose[:3, 3] -= offset * pose[:3, 0]
     frame = renderer.render(
-        replace(left, pose=pose), ("depth_sensor", "depth_z"), "draft", 5, depth_camera=depth_camera
+        replace(left, pose=pose),
+        ("depth_sensor", "depth_z"),
+        "draft",
+        5,
+        partners=Partners(depth=depth_camera),
     )
     near = frame["depth_z"] < nearest
     known = near & np.isfinite(frame["depth_sensor"])

@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 
 pytest.importorskip("torch")
 
+from stand_in import SceneStandIn
+
 from pepperscene.building.execution.build import build
 from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.cli import app
@@ -42,11 +44,8 @@ QUICK = (
 )  # fmt: skip
 
 
-class ShapesRenderer:
+class ShapesRenderer(SceneStandIn):
     """Renders shapes that depend on the seed alone."""
-
-    def __init__(self, scene):
-        pass
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         (image,) = shape_images(1, (48, 64), seed)

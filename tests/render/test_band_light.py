@@ -14,6 +14,7 @@ from tracer import Tracer
 from pepperscene.camera import (
     Camera,
     Developing,
+    Partners,
     develop,
     expected_electrons,
     measured_electrons,
@@ -130,7 +131,7 @@ def test_the_number_of_bands_compiles_nothing(scene):
 def test_outputs_of_colours_are_refused(scene, output):
     view = banded(camera(columns=24, rows=18))
     with pytest.raises(InputError, match=f"{output}.*has bands: use 'electrons'"):
-        Renderer(scene).render(view, [output], "draft", others={"stereo": view})
+        Renderer(scene).render(view, [output], "draft", partners=Partners(stereo=view))
 
 
 @pytest.mark.parametrize("function", [develop, raw_frame])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from bodies import axis_camera, body, card, sphere
-from greenhouse import POSES, camera, others, row_of_plants
+from greenhouse import POSES, camera, partners, row_of_plants
 from test_kernel_reuse import count_compiled
 
 from pepperscene.camera import Camera
@@ -159,12 +159,12 @@ def test_another_scene_image_size_or_pose_compiles_nothing(plants):
     outputs = ("class", "coverage", "position", "uv", "flow", "stereo")
     first = Renderer(assemble_scene(plants))
     for step in (0, 1):
-        first.render(camera(step), outputs, others=others(step))
-    assert count_compiled(lambda: first.render(camera(1), outputs, others=others(0))) == 0
+        first.render(camera(step), outputs, partners=partners(step))
+    assert count_compiled(lambda: first.render(camera(1), outputs, partners=partners(0))) == 0
     small = camera(columns=84, rows=63)
-    assert count_compiled(lambda: first.render(small, outputs, others=others())) == 0
+    assert count_compiled(lambda: first.render(small, outputs, partners=partners())) == 0
     other = Renderer(assemble_scene(concatenate_meshes([plants, wire(3.0, 0.3)])))
-    assert count_compiled(lambda: other.render(camera(), outputs, others=others())) == 0
+    assert count_compiled(lambda: other.render(camera(), outputs, partners=partners())) == 0
 
 
 def test_points_and_their_groups_are_evenly_spread():

@@ -13,6 +13,7 @@ from pepperscene.camera import (
     Camera,
     DepthCamera,
     Developing,
+    Partners,
     StereoMatching,
     load_lens,
     load_projector,
@@ -65,7 +66,7 @@ def colour():
 @pytest.fixture(scope="module")
 def frame(renderer, colour, depth_camera):
     outputs = ("colour", "depth_z", *DEPTHS)
-    return renderer.render(colour, outputs, "draft", 3, depth_camera=depth_camera)
+    return renderer.render(colour, outputs, "draft", 3, partners=Partners(depth=depth_camera))
 
 
 def test_depth_is_in_the_pixels_of_the_colour_camera(frame):
@@ -89,8 +90,8 @@ def test_other_outputs_do_not_change(renderer, colour, frame):
 
 
 def test_depth_depends_on_the_seed_alone(renderer, colour, depth_camera, frame):
-    again = renderer.render(colour, DEPTHS, "draft", 3, depth_camera=depth_camera)
-    other = renderer.render(colour, DEPTHS, "draft", 4, depth_camera=depth_camera)
+    again = renderer.render(colour, DEPTHS, "draft", 3, partners=Partners(depth=depth_camera))
+    other = renderer.render(colour, DEPTHS, "draft", 4, partners=Partners(depth=depth_camera))
     for name in DEPTHS:
         np.testing.assert_array_equal(again[name], frame[name])
         assert not np.array_equal(other[name], frame[name], equal_nan=True)
@@ -98,7 +99,7 @@ def test_depth_depends_on_the_seed_alone(renderer, colour, depth_camera, frame):
 
 def test_the_pattern_is_in_both_images(renderer, colour, depth_camera, frame):
     off, names = replace(depth_camera, projector=None), ("imager_left", "imager_right")
-    passive = renderer.render(colour, names, "draft", 3, depth_camera=off)
+    passive = renderer.render(colour, names, "draft", 3, partners=Partners(depth=off))
     for name in names:
         # Of neighbours, because images are darker towards their corners.
         on, off = (np.diff(images[name][30:90, 60:150].astype(int)).std() for images in (frame, passive))
@@ -108,13 +109,15 @@ def test_the_pattern_is_in_both_images(renderer, colour, depth_camera, frame):
 def test_a_pair_of_colour_cameras_is_matched_as_well(renderer, colour):
     left = looking_along_y("colour", (160, 90))
     pair = DepthCamera(left, 0.05, matching=StereoMatching(disparities=32))
-    found = renderer.render(colour, ("depth_sensor",), "draft", 3, depth_camera=pair)["depth_sensor"]
+    found = renderer.render(colour, ("depth_sensor",), "draft", 3, partners=Partners(depth=pair))[
+        "depth_sensor"
+    ]
     # A wall without texture has nothing to match.
     assert np.isnan(found).mean() > 0.8
 
 
 def test_a_depth_camera_is_required(scene, colour):
-    with pytest.raises(InputError, match="depth_camera: is required for the output depth_sensor"):
+    with pytest.raises(InputError, match="partners: depth: the output depth_sensor needs this camera"):
         render_scene(scene, colour, ("depth_sensor",), "draft")
 
 
@@ -123,7 +126,7 @@ def test_a_depth_camera_needs_our_integrator(output, renderer, colour, depth_cam
     """Mitsuba's path tracer has no dots: the quality is rejected instead of being traced with ours."""
     paths = replace(QUALITIES["draft"], integrator="path", denoise=False)
     with pytest.raises(ArgumentError, match='need the integrator "flash", not "path"'):
-        renderer.render(colour, (output,), paths, 3, depth_camera=depth_camera)
+        renderer.render(colour, (output,), paths, 3, partners=Partners(depth=depth_camera))
 
 
 def test_opencv_is_imported_only_to_match_images():

@@ -8,17 +8,13 @@ import trimesh
 from bodies import body
 from greenhouse import camera, row_of_plants
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
-from pepperscene.outputs import OUTPUTS, TRAIT_OUTPUTS
+from pepperscene.classes import OrganClass
+from pepperscene.outputs import OUTPUTS
 from pepperscene.render.aov import labels
 from pepperscene.render.aov.labels import Hits
 from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
-
-# These need more rays, or other cameras.
-ELSEWHERE = ("coverage", "flow", "stereo", "harvest", "amodal", "albedo", *TRAIT_OUTPUTS)
-LABELS = tuple(name for name, output in OUTPUTS.items() if not output.traced and name not in ELSEWHERE)
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +59,6 @@ def test_classes_and_instances_equal_those_of_the_faces(mesh, hits):
     np.testing.assert_array_equal(instance, np.where(is_hit, mesh.face_instance[hits.face] + 1, 0))
     expected = np.where(is_hit, mesh.face_class[hits.face], 0)
     np.testing.assert_array_equal(labels.class_ids(mesh, instance), expected)
-
-
-def test_label_outputs_match_their_specification(mesh, hits):
-    instance = labels.instance_ids(mesh, hits)
-    images = labels.label_outputs(mesh, hits, instance, camera(), LABELS)
-    assert list(images) == list(LABELS)
-    assert all(OUTPUTS[name].fits(image) for name, image in images.items())
-    np.testing.assert_array_equal(images["class_colour"], np.array(CLASS_COLOURS, np.uint8)[images["class"]])
-    assert list(labels.label_outputs(mesh, hits, instance, camera(), ["distance", "colour"])) == ["distance"]
 
 
 def assert_boxes_and_pixels(described, instance):

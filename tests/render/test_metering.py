@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from greenhouse import camera, cloudy_sky, digests, greenhouse, others
+from greenhouse import camera, cloudy_sky, digests, greenhouse, partners
 
 from pepperscene.camera import (
     ChosenExposure,
     Developing,
     ExposureControl,
+    Partners,
     expected_electrons,
     metering_camera,
     with_exposure,
@@ -138,12 +139,12 @@ def test_frame_is_the_one_with_the_chosen_settings(renderer):
 
 def test_stereo_partner_has_the_same_exposure(renderer):
     view, control = camera(), replace(CONTROL, target_grey=60.0)
-    partner = {"stereo": others()["stereo"]}
+    partner = Partners(stereo=partners().stereo)
     outputs = ["colour", "colour_stereo"]
-    frame = renderer.render(view, outputs, "draft", 5, others=partner, exposure_control=control)
+    frame = renderer.render(view, outputs, "draft", 5, partners=partner, exposure_control=control)
     chosen = renderer.meter(view, control, 5)
-    both = {"stereo": with_exposure(partner["stereo"], chosen)}
-    same = renderer.render(with_exposure(view, chosen), outputs, "draft", 5, others=both)
+    both = Partners(stereo=with_exposure(partner.stereo, chosen))
+    same = renderer.render(with_exposure(view, chosen), outputs, "draft", 5, partners=both)
     assert digests(same) == digests(frame)
 
 

@@ -11,7 +11,7 @@ from bodies import axis_camera, body, sheet, sphere
 from greenhouse import POSES, camera, row_of_plants
 from test_coverage import FOCAL_PX, VIEW
 
-from pepperscene.camera import Camera
+from pepperscene.camera import Camera, Partners
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.outputs import OUTPUTS
@@ -30,7 +30,7 @@ def moved_view(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0)
 
 
 def flow(mesh: Mesh, view: Camera, other: Camera) -> np.ndarray:
-    image = Renderer(assemble_scene(mesh)).render(view, ["flow"], others={"flow": other})["flow"]
+    image = Renderer(assemble_scene(mesh)).render(view, ["flow"], partners=Partners(flow=other))["flow"]
     assert OUTPUTS["flow"].fits(image)
     return image
 
@@ -64,7 +64,7 @@ def test_flow_of_the_sky_follows_the_rotation_alone():
     # A small ball in front of the sky; the camera moves and rotates 3 degrees to the left.
     renderer = Renderer(assemble_scene(sphere((0.0, 0.0, 0.5), 0.02, "matt", 4)))
     other = moved_view(x=0.02, yaw=np.radians(-3.0))
-    frame = renderer.render(VIEW, ["class", "flow"], others={"flow": other})
+    frame = renderer.render(VIEW, ["class", "flow"], partners=Partners(flow=other))
     sky = frame["class"] == 0
     v, u = np.mgrid[:64, :64] + 0.5
     ray = np.stack([u - 32, v - 32, np.full_like(u, FOCAL_PX)], -1)
@@ -82,9 +82,9 @@ def test_flow_of_the_sky_follows_the_rotation_alone():
     assert not frame["flow"][..., 2][~inside & sky].any()
 
 
-@pytest.mark.parametrize("others", [{}, {"flow": moved_view(z=1.0)}], ids=["none", "in front of the wall"])
-def test_points_that_no_other_camera_sees_have_no_flow(others):
-    image = Renderer(assemble_scene(WALL)).render(VIEW, ["flow"], others=others)["flow"]
+@pytest.mark.parametrize("other", [None, moved_view(z=1.0)], ids=["none", "in front of the wall"])
+def test_points_that_no_other_camera_sees_have_no_flow(other):
+    image = Renderer(assemble_scene(WALL)).render(VIEW, ["flow"], partners=Partners(flow=other))["flow"]
     assert OUTPUTS["flow"].fits(image)
     assert np.isnan(image[..., :2]).all()
     assert not image[..., 2].any()
@@ -123,7 +123,7 @@ def test_surface_does_not_hide_itself_at_grazing_angles(degrees):
     pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
     pose[:3, 3] = centre
     wide = axis_camera(400, 400).at_pose(pose)
-    frame = Renderer(assemble_scene(mesh)).render(VIEW, ["class", "flow"], others={"flow": wide})
+    frame = Renderer(assemble_scene(mesh)).render(VIEW, ["class", "flow"], partners=Partners(flow=wide))
     assert (frame["class"] == OrganClass.LEAF).all()
     assert (frame["flow"][..., 2] == 1).all()
 
@@ -155,9 +155,9 @@ def test_flow_does_not_depend_on_position_or_size_of_the_scene(plants, shift, sc
 
 def test_bytes_do_not_depend_on_earlier_frames(plants):
     renderer = Renderer(assemble_scene(plants))
-    first = renderer.render(camera(), ["flow"], others={"flow": camera(2)})["flow"].tobytes()
-    renderer.render(camera(0), ["stereo", "coverage"], others={"stereo": camera(1)})
+    first = renderer.render(camera(), ["flow"], partners=Partners(flow=camera(2)))["flow"].tobytes()
+    renderer.render(camera(0), ["stereo", "coverage"], partners=Partners(stereo=camera(1)))
     both = renderer.render(
-        camera(), ["class", "flow", "stereo"], others={"flow": camera(2), "stereo": camera(2)}
+        camera(), ["class", "flow", "stereo"], partners=Partners(flow=camera(2), stereo=camera(2))
     )
     assert both["flow"].tobytes() == both["stereo"].tobytes() == first

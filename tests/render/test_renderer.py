@@ -7,13 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from greenhouse import camera, depth_camera, digests, fresh_digests, greenhouse, others
+from greenhouse import camera, digests, fresh_digests, greenhouse, partners
 from processes import run_python
 
-from pepperscene.camera import expected_electrons
+from pepperscene.camera import Partners, expected_electrons
 from pepperscene.errors import InputError
 from pepperscene.outputs import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
-from pepperscene.render import QUALITIES, Renderer, find_quality, kernel_scene, render_scene, renderer
+from pepperscene.render import (
+    QUALITIES,
+    Renderer,
+    find_quality,
+    kernel_scene,
+    photographs,
+    render_scene,
+    renderer,
+)
 from pepperscene.render.aov import labels
 from pepperscene.render.reference.path_tracer import path_traced, samples_taken
 from pepperscene.render.transport import strips
@@ -23,11 +31,6 @@ from pepperscene.scene import assemble_scene
 ALL = tuple(name for name in OUTPUTS if name != "harvest" and name not in BAND_OUTPUTS)
 LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced)
 IMAGERS = ("imager_left", "imager_right")
-
-
-def further(step=1):
-    """The further cameras that all outputs need."""
-    return {"others": others(step), "depth_camera": depth_camera(step)}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +48,7 @@ def used(scene):
 
 @pytest.fixture(scope="module")
 def frame(used):
-    return used.render(camera(), ALL, "standard", 5, **further())
+    return used.render(camera(), ALL, "standard", 5, partners=partners())
 
 
 @pytest.mark.parametrize("cores", [1, None], ids=["one core", "all cores"])
@@ -65,7 +68,9 @@ def test_frame_has_the_same_bytes_in_another_process(cores):
 
 
 def test_frame_has_the_same_bytes_from_a_new_renderer(scene, frame):
-    assert digests(Renderer(scene).render(camera(), ALL, "standard", 5, **further())) == digests(frame)
+    assert digests(Renderer(scene).render(camera(), ALL, "standard", 5, partners=partners())) == digests(
+        frame
+    )
 
 
 def test_repeated_frames_are_equal_and_finite(scene, used):
@@ -82,8 +87,8 @@ def test_repeated_frames_are_equal_and_finite(scene, used):
 
 @pytest.mark.parametrize("step", [0, 2])
 def test_renderer_can_be_reused_for_another_pose(scene, used, step):
-    moved = used.render(camera(step), ALL, "draft", 9, **further(step))
-    fresh = Renderer(scene).render(camera(step), ALL, "draft", 9, **further(step))
+    moved = used.render(camera(step), ALL, "draft", 9, partners=partners(step))
+    fresh = Renderer(scene).render(camera(step), ALL, "draft", 9, partners=partners(step))
     assert digests(moved) == digests(fresh)
     assert moved.metadata == fresh.metadata
 
@@ -96,13 +101,13 @@ def test_renderer_can_be_reused_for_another_lens_or_image_size(scene, used):
 
 @pytest.mark.parametrize("name", ALL)
 def test_output_does_not_depend_on_the_other_outputs(scene, frame, name):
-    alone = Renderer(scene).render(camera(), [name], "standard", 5, **further())
+    alone = Renderer(scene).render(camera(), [name], "standard", 5, partners=partners())
     assert set(alone.images) == {name}
     assert digests(alone)[name] == digests(frame)[name]
 
 
 def test_another_seed_changes_noise_but_no_labels(used, frame):
-    other = used.render(camera(), ALL, "standard", 6, **further())
+    other = used.render(camera(), ALL, "standard", 6, partners=partners())
     same = {name: digests(other)[name] == digests(frame)[name] for name in ALL}
     assert same == {name: not OUTPUTS[name].traced for name in ALL}
     # Before the sensor noise the two agree to a few per cent.
@@ -122,12 +127,14 @@ def test_another_version_is_recorded_and_changes_no_pixel(scene, used, monkeypat
 
 def test_stereo_partner_has_its_own_noise_and_the_same_light(scene, frame):
     # From the camera's own pose it is another photograph of the same view.
-    same = Renderer(scene).render(camera(), ["colour_stereo"], "standard", 5, others={"stereo": camera()})
+    same = Renderer(scene).render(
+        camera(), ["colour_stereo"], "standard", 5, partners=Partners(stereo=camera())
+    )
     difference = same["colour_stereo"].astype(float) - frame["colour"]
     assert 0.5 < np.abs(difference).mean() < 8
     assert abs(difference.mean()) < 0.5
     # Otherwise it is what a camera at the partner's pose takes.
-    partner = others()["stereo"]
+    partner = partners().stereo
     own = Renderer(scene).render(partner, ["colour"], "standard", 77)
     error, baseline = (
         np.abs(own["colour"] - frame[name].astype(float)).mean() for name in ("colour_stereo", "colour")
@@ -137,7 +144,7 @@ def test_stereo_partner_has_its_own_noise_and_the_same_light(scene, frame):
 
 
 def test_render_scene_gives_the_same_frame(scene, frame):
-    result = render_scene(scene, camera(), DEFAULT_OUTPUTS, "standard", 5, others=others())
+    result = render_scene(scene, camera(), DEFAULT_OUTPUTS, "standard", 5, partners=partners())
     assert digests(result) == {name: digests(frame)[name] for name in DEFAULT_OUTPUTS}
     assert list(result.images) == list(DEFAULT_OUTPUTS)
 
@@ -217,7 +224,7 @@ def calls(monkeypatch):
         record(kernel_scene, name)
     for name in ("trace_rows", "denoised"):
         record(strips, name)
-    record(renderer, "develop")
+    record(photographs, "develop")
     for name in ("first_hits", "class_ids", "instance_ids", "normals", "depth_z"):
         record(labels, name)
     return names
@@ -225,7 +232,7 @@ def calls(monkeypatch):
 
 def test_labels_trace_no_light(scene, calls):
     outputs = [name for name in LABELS if name != "albedo"]
-    result = Renderer(scene).render(camera(), outputs, others=others())
+    result = Renderer(scene).render(camera(), outputs, partners=partners())
     assert set(calls) == {"truth_scene", "first_hits", "class_ids", "instance_ids", "normals", "depth_z"}
     assert calls.count("first_hits") == 1
     assert set(result.images) == set(outputs)
@@ -253,7 +260,7 @@ def test_colour_traces_no_rays_for_labels(scene, calls):
 
 
 def test_stereo_partner_alone_is_a_single_photograph(scene, calls):
-    result = Renderer(scene).render(camera(), ["colour_stereo"], "draft", others=others())
+    result = Renderer(scene).render(camera(), ["colour_stereo"], "draft", partners=partners())
     assert calls == ["light_scene", "sky_tables", "trace_rows", "denoised", "develop"]
     assert set(result.metadata) >= {"sampling_stereo", "stereo_pose"}
     assert "sampling" not in result.metadata
@@ -327,11 +334,9 @@ def test_raises_on_unknown_outputs(used, outputs):
 
 
 @pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
-def test_raises_on_missing_or_unknown_other_cameras(used, name):
-    with pytest.raises(InputError, match=f"others: stereo: .*{name}"):
-        used.render(camera(), [name], others={"flow": camera()})
-    with pytest.raises(InputError, match=r"others: left: .*flow, stereo"):
-        used.render(camera(), ["class"], others={"left": camera()})
+def test_raises_on_missing_partners(used, name):
+    with pytest.raises(InputError, match=f"partners: stereo: .*{name}"):
+        used.render(camera(), [name], partners=Partners(flow=camera()))
 
 
 @pytest.mark.parametrize("output", ["colour", "class"])

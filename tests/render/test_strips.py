@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from greenhouse import camera, cloudy_sky, greenhouse, others
+from greenhouse import camera, cloudy_sky, greenhouse, partners
 
 from pepperscene.camera import Motion
 from pepperscene.camera.sensor import rows as row_strips
@@ -64,8 +64,8 @@ def test_a_fixed_number_of_samples_gives_the_bits_of_the_whole_image(plants, in_
 @pytest.mark.parametrize("change", [lambda view: view, rolling], ids=["still", "moving"])
 def test_labels_have_the_bits_of_the_whole_image(plants, in_strips, change):
     view = change(camera(columns=64, rows=46))
-    whole = plants.render(view, LABELS, others=others())
-    parts = in_strips(10, plants, view, LABELS, others=others())
+    whole = plants.render(view, LABELS, partners=partners())
+    parts = in_strips(10, plants, view, LABELS, partners=partners())
     for name in LABELS:
         if OUTPUTS[name].is_image:
             np.testing.assert_array_equal(parts[name], whole[name], err_msg=name)

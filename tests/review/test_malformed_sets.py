@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from data_sets import D435, set_without_plants
 from pyarrow import parquet
+from stand_in import SceneStandIn
 
 from pepperscene.atomic import digest
 from pepperscene.colour import open_patches
@@ -45,11 +46,8 @@ VALUES = {
 SAMPLE = 25  # chosen: they take two seconds
 
 
-class TwoFruit:
+class TwoFruit(SceneStandIn):
     """Renders two fruit of a plant, one of them in front of the other."""
-
-    def __init__(self, scene):
-        pass
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         instance = np.zeros(SIZE, np.uint16)

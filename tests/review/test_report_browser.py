@@ -12,7 +12,7 @@ import pytest
 from chromium import Browser, find_chromium
 from data_sets import RandomImages, set_without_plants
 from hostile_set import FILE_NAME, TEXT, make_hostile, make_photographs, make_plain_set
-from stand_in import PYTHONPATH
+from stand_in import PYTHONPATH, SceneStandIn
 
 from pepperscene.classes import OrganClass
 from pepperscene.frame import Frame
@@ -36,11 +36,8 @@ addEventListener("securitypolicyviolation", event =>
 """Script that runs before a page: what its content security policy blocks."""
 
 
-class BandRenderer:
+class BandRenderer(SceneStandIn):
     """Renders bands of classes, each in its own colour, brightest in the centre."""
-
-    def __init__(self, scene):
-        pass
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         images = band_images(round(camera.pose[2, 3] * 100))

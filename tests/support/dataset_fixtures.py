@@ -37,8 +37,8 @@ class FakeRenderer(StandIn):
         self.calls = []
         FakeRenderer.created.append(self)
 
-    def render(self, camera, outputs=(), quality="standard", seed=0, others=None, depth_camera=None):
-        call = SimpleNamespace(camera=camera, outputs=outputs, quality=quality, seed=seed, others=others)
+    def render(self, camera, outputs=(), quality="standard", seed=0, *, partners=None, **_others):
+        call = SimpleNamespace(camera=camera, outputs=outputs, quality=quality, seed=seed, partners=partners)
         self.calls.append(call)
         return super().render(camera, outputs, quality, seed)
 

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 from data_sets import D435, set_without_plants
+from stand_in import SceneStandIn
 
 from pepperscene.atomic import digest, write_json
 from pepperscene.classes import OrganClass
@@ -37,13 +38,10 @@ def draw_discs(height, width, rng, discs, radii=(5, 25), background=60.0):
     return colour, labels
 
 
-class DiscRenderer:
+class DiscRenderer(SceneStandIn):
     """Renders discs, with all outputs consistent."""
 
-    def __init__(self, scene):
-        self.scene = scene
-
-    def render(self, camera, outputs=(), quality="standard", seed=0, others=None, depth_camera=None):
+    def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         rng = np.random.default_rng([int(abs(camera.pose[0, 3]) * 1e9), int(camera.pose[2, 3] * 1e9)])
         noise = np.random.default_rng(seed)
         rows, columns = np.mgrid[:HEIGHT, :WIDTH]

@@ -16,6 +16,7 @@ from pepperscene.camera import (
     Developing,
     Distortion,
     ExposureControl,
+    Partners,
     StereoMatching,
     arc_path,
     load_flash,
@@ -91,11 +92,11 @@ def camera(
     return Camera(lens, sensor, POSES[step], 50e-6, load_flash("led_matrix_200klx") if flash else None)
 
 
-def others(step: int = 1) -> dict[str, Camera]:
-    """The other cameras of a step's frame: at the last pose, and a stereo partner 60 mm to the right."""
+def partners(step: int = 1) -> Partners:
+    """Those of a step's frame: the camera at the last pose, one 60 mm to the right, and a depth camera."""
     pose = POSES[step].copy()
     pose[:3, 3] += 0.06 * pose[:3, 0]
-    return {"flow": camera(2), "stereo": camera(step).at_pose(pose)}
+    return Partners(camera(2), camera(step).at_pose(pose), depth_camera(step))
 
 
 def depth_camera(step: int = 1) -> DepthCamera:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from data_sets import D435, set_without_plants
+from stand_in import SceneStandIn
 
 from pepperscene.frame import Frame
 from pepperscene.truth import class_colour, distance_code
@@ -22,10 +23,7 @@ WIRE, FLOOR = 60_000, 60_001
 """Instances that belong to no plant: one has an organ's class, the other the background."""
 
 
-class Painter:
-    def __init__(self, scene):
-        pass
-
+class Painter(SceneStandIn):
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         rng = np.random.default_rng(seed)
         instance, entries, masks = paint(rng)

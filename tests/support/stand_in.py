@@ -27,11 +27,18 @@ _UNGATED_FRAMES = 3
 _rendered = 0
 
 
-class StandIn:
-    """Renders noise."""
+class SceneStandIn:
+    """What stand-ins for the renderer of a scene share."""
 
     def __init__(self, scene):
         self.scene = scene
+
+    def visible_points(self, camera, points, normals=None, *, alone=None):
+        raise NotImplementedError("a stand-in shows no random views")
+
+
+class StandIn(SceneStandIn):
+    """Renders noise."""
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         _log(seed)
@@ -47,7 +54,7 @@ class StandIn:
         return Frame({name: _image(name, camera, seed) for name in outputs}, metadata)
 
 
-class LoggedRenderer:
+class LoggedRenderer(SceneStandIn):
     """Mitsuba, with the log."""
 
     def __init__(self, scene):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stand_in import SceneStandIn
 
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
@@ -31,10 +32,7 @@ D435 = {
 def painted_set(folder, outputs, paint, changes=None, recipe="barth2018", frames=None):
     """Build a data set of a scene without plants whose images are those that `paint(seed)` returns."""
 
-    class Painter:
-        def __init__(self, scene):
-            pass
-
+    class Painter(SceneStandIn):
         def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
             images = paint(seed, (camera.height, camera.width))
             size = {"width": camera.width, "height": camera.height}

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from data_sets import set_without_plants
 from scipy.spatial.transform import Rotation
+from stand_in import SceneStandIn
 
 from pepperscene.frame import Frame
 
@@ -120,13 +121,10 @@ def colour_of(position):
     return np.where(np.isfinite(position), colour, [40, 60, 200]).astype(np.uint8)
 
 
-class Tracer:
+class Tracer(SceneStandIn):
     """Traces a frame through the lens of its recipe."""
 
     lens, rolling, ignores = "pinhole", None, False
-
-    def __init__(self, scene):
-        pass
 
     def render(self, camera, outputs=(), quality="standard", seed=0, **_others):
         images = trace(camera.pose, self.lens, self.rolling)

@@ -35,6 +35,7 @@ from pepperscene.camera.optics.lens import AngularProfile, Lens, load_lens
 from pepperscene.camera.optics.projector import Projector, load_projector
 from pepperscene.camera.optics.stray_light import Ghost, StrayLight
 from pepperscene.camera.optics.white_reference import WhiteReference
+from pepperscene.camera.partners import Partners
 from pepperscene.camera.pose_files.formats import PoseFormat, read_poses, write_poses
 from pepperscene.camera.poses.generators import arc_path, grid_poses, look_at, protocol_poses
 from pepperscene.camera.poses.motion import Motion
@@ -64,6 +65,7 @@ __all__ = [
     "Lens",
     "MatchedDepth",
     "Motion",
+    "Partners",
     "PoseFormat",
     "PoseList",
     "Projector",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,43 +15,31 @@ from numpy.typing import NDArray
 from pepperscene.camera import (
     Camera,
     ChosenExposure,
-    DepthCamera,
     ExposureControl,
-    WhiteReference,
+    Partners,
     choose_exposure,
-    develop,
-    image_electrons,
-    raw_frame,
     with_exposure,
 )
-from pepperscene.errors import ArgumentError, InputError
+from pepperscene.errors import InputError
 from pepperscene.frame import Frame
 from pepperscene.outputs import (
-    BAND_OUTPUTS,
     DEFAULT_OUTPUTS,
     DEPTH_CAMERA_OUTPUTS,
     OUTPUTS,
     STEREO_OUTPUTS,
-    TRAIT_OUTPUTS,
     check_band_outputs,
     check_outputs,
 )
-from pepperscene.render.aov import labels
-from pepperscene.render.aov.label_strips import label_images
-from pepperscene.render.kernel.camera import label_rays
+from pepperscene.render.aov.label_images import SceneLabels
 from pepperscene.render.kernel_scene import KernelScene
 from pepperscene.render.metering import metered_light
+from pepperscene.render.photographs import photographs
 from pepperscene.render.quality import Quality, check_depth_camera_quality, resolve_quality
 from pepperscene.render.variant import mitsuba_modules, variant_name
 from pepperscene.scene import Scene, Sky
-from pepperscene.truth.amodal import amodal_truth
 from pepperscene.version import __version__
 
-if TYPE_CHECKING:
-    from pepperscene.render.aov.coverage import SceneCoverage
-    from pepperscene.render.aov.harvest import SceneHarvest
-    from pepperscene.render.aov.isolated import IsolatedOrgans
-    from pepperscene.render.aov.traits import SceneTraits
+_ALONE: Final = Partners()
 
 FrameSky = Sky | Literal["scene"] | None
 """The sky of a frame, None for a frame without daylight, or "scene" for the sky of the scene."""
@@ -64,9 +52,7 @@ def render_scene(
     quality: str | Quality = "standard",
     seed: int = 0,
     target_error: float | None = None,
-    others: Mapping[str, Camera] | None = None,
-    depth_camera: DepthCamera | None = None,
-    white_reference: WhiteReference | None = None,
+    partners: Partners = _ALONE,
 ) -> Frame:
     """Render one frame of a scene; for several frames of the same scene keep a `Renderer`.
 
@@ -78,25 +64,33 @@ def render_scene(
         seed: of light transport and sensor noise.
         target_error: override the quality's target: the standard error of a pixel's light over the sensor
             noise at which sampling stops.
-        others: further cameras of the same scene: "flow", the target of the output `flow` (without it there
-            is no flow), and "stereo", the partner of `stereo` and `colour_stereo`.
-        depth_camera: of `depth_sensor` and the other `DEPTH_CAMERA_OUTPUTS`, at its pose.
-        white_reference: of `reflectance`; None for a panel of 0.99 half a metre in front of the camera.
+        partners: further devices of the frame, which some outputs need.
 
     Raises:
         InputError: unknown output or quality, target out of range, missing partner or depth camera.
         SetupError: no JIT variant of Mitsuba runs on this machine.
     """
-    return Renderer(scene).render(
-        camera,
-        outputs,
-        quality,
-        seed,
-        target_error,
-        others,
-        depth_camera=depth_camera,
-        white_reference=white_reference,
-    )
+    return Renderer(scene).render(camera, outputs, quality, seed, target_error, partners)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Request:
+    """The arguments of a frame, resolved."""
+
+    requested: tuple[str, ...]
+    camera: Camera
+    partners: Partners
+    quality: Quality
+    seed: int
+    scene: Scene  # under the sky of the frame
+
+    def seeds(self, branch: int) -> np.random.SeedSequence:
+        """A branch of the frame's seed: 0 noise, 1 samples, 2 both of the partner, 3 of the depth camera."""
+        return np.random.SeedSequence(self.seed).spawn(branch + 1)[branch]
+
+
+_Made = tuple[dict[str, Any], dict[str, Any]]
+"""Outputs by name, and entries of the metadata."""
 
 
 class Renderer:
@@ -109,6 +103,7 @@ class Renderer:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._kernel = KernelScene(scene)
+        self._labels = SceneLabels(self._kernel)
 
     def render(
         self,
@@ -117,19 +112,16 @@ class Renderer:
         quality: str | Quality = "standard",
         seed: int = 0,
         target_error: float | None = None,
-        others: Mapping[str, Camera] | None = None,
+        partners: Partners = _ALONE,
         *,
         sky: FrameSky = "scene",
         exposure_control: ExposureControl | None = None,
-        depth_camera: DepthCamera | None = None,
-        white_reference: WhiteReference | None = None,
     ) -> Frame:
         """Render one frame; see `render_scene` for the other arguments.
 
         `sky` replaces the sky of the scene, None removes it, and "scene" keeps it; the geometry stays on the
         device in all cases. With `exposure_control`, exposure time and gain are chosen
-        automatically for `camera`, and used for the other cameras too; only where light is traced.
-        `white_reference` is that of the output `reflectance`, by default the default one.
+        automatically for `camera`, and used for its stereo partner too; only where light is traced.
 
         Raises:
             InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`, or
@@ -138,91 +130,72 @@ class Renderer:
         """
         requested = check_outputs(outputs)
         check_band_outputs(requested, camera.sensor.name, has_bands=camera.sensor.pattern == "bands")
-        others = _check_others(requested, others or {})
-        depths = DEPTH_CAMERA_OUTPUTS.intersection(requested)
-        if depths and depth_camera is None:
-            raise ArgumentError("depth_camera", f"is required for the output {min(depths)}")
-        bands = BAND_OUTPUTS.intersection(requested)
+        _check_partners(requested, partners)
         quality = resolve_quality(quality, target_error)
-        if depths:
+        if DEPTH_CAMERA_OUTPUTS.intersection(requested):
             check_depth_camera_quality(quality)
-        scene = self._under(sky)
-        images: dict[str, Any] = {}
         described: dict[str, Any] = {}
-
         # Labels do not depend on the exposure, nor does the depth camera.
-        own = set(requested) - depths
-        if exposure_control is not None and any(OUTPUTS[name].traced for name in own):
+        if exposure_control is not None and _traced(requested) - DEPTH_CAMERA_OUTPUTS:
             chosen = self.meter(camera, exposure_control, seed, sky, quality)
-            camera = with_exposure(camera, chosen)
-            others = {name: with_exposure(other, chosen) for name, other in others.items()}
+            camera, partners = with_exposure(camera, chosen), _with_exposure(partners, chosen)
             target = {"target_grey": exposure_control.target_grey}
             described["auto_exposure"] = target | dataclasses.asdict(chosen)
 
+        request = _Request(requested, camera, partners, quality, seed, self._under(sky))
+        images: dict[str, Any] = {}
         # Light first: its kernel scene then serves the ground truth as well.
-        if any(OUTPUTS[name].traced for name in own - STEREO_OUTPUTS):
-            noise, sampling = np.random.SeedSequence(seed).spawn(2)
-            signal, described["sampling"] = self._kernel.trace(camera, quality, sampling, scene)
-            if "radiance" in bands:
-                from pepperscene.render.band_images import radiance_image
-
-                images["radiance"] = radiance_image(signal, camera)
-            # What bands measure follows from their electrons.
-            names = (*requested, "electrons") if bands else requested
-            images |= _photographs(names, signal, camera, noise)
-            del signal  # large
-            if bands:
-                from pepperscene.render.band_images import measured_images
-
-                panel, electrons = white_reference or WhiteReference(), images["electrons"]
-                measured = measured_images(bands, electrons, camera, scene, panel, noise)
-                images |= measured[0]
-                described |= measured[1]
-        if "colour_stereo" in requested:
-            # The third branch of the frame's seed gives the partner its own noise and samples.
-            noise, sampling = np.random.SeedSequence(seed).spawn(3)[2].spawn(2)
-            partner = others["stereo"]
-            signal, described["sampling_stereo"] = self._kernel.trace(partner, quality, sampling, scene)
-            images["colour_stereo"] = _photographs(("colour",), signal, partner, noise)["colour"]
-        if depths and depth_camera is not None:
-            from pepperscene.render.depth_sensor import depth_camera_images
-
-            # The fourth branch of the frame's seed.
-            seeds = np.random.SeedSequence(seed).spawn(4)[3]
-            measured = depth_camera_images(self._kernel, scene, camera, depth_camera, depths, quality, seeds)
-            images |= measured[0]
-            described |= measured[1]
-        if set(requested) & STEREO_OUTPUTS:
-            described["stereo_pose"] = others["stereo"].pose.tolist()
-
-        # Ground truth, from one ray through each pixel.
-        instances: dict[str, dict[str, Any]] = {}
-        if any(not OUTPUTS[name].traced for name in requested):
-            rays = label_rays(self._kernel.rays(camera), camera)
-            if "albedo" in requested:
-                from pepperscene.render.aov.albedo import albedo_image
-
-                # Before the first hits, which then use its kernel scene.
-                kernel_scene = self._kernel.any_light_scene(camera, scene)
-                images["albedo"] = albedo_image(kernel_scene, scene, camera, rays)
-            kernel_scene, coordinates = self._kernel.truth_scene(), self._kernel.coordinates
-            traits = self._traits if TRAIT_OUTPUTS.intersection(requested) else None
-            seen = label_images(
-                self.scene.mesh, kernel_scene, coordinates, rays, camera, requested, others, traits
-            )
-            images |= seen.images
-            instances = labels.visible_instances(self.scene.mesh, seen.instance)
-            if "coverage" in requested:
-                images["coverage"] = self._coverage.image(self._kernel.truth_scene(), rays)
-            if "harvest" in requested:
-                images["harvest"] = self._harvest.truth(camera, rays, seen.distance, seen.instance)
-            if "amodal" in requested:
-                visible = labels.visible_organs(instances)
-                masks = self._organs.amodal_masks(visible, camera, rays, seen.instance)
-                images["amodal"] = amodal_truth(masks, seen.instance, self.scene.mesh.instances)
-        metadata = {"camera": camera.to_metadata(), "seed": seed, "variant": variant_name()}
-        metadata |= {"versions": _library_versions(), **described, "instances": instances}
+        for make in (self._photographs, self._stereo_photograph, self._depth_images, self._ground_truth):
+            made, notes = make(request)
+            images |= made
+            described |= notes
+        metadata: dict[str, Any] = {"camera": camera.to_metadata(), "seed": seed, "variant": variant_name()}
+        metadata |= {"versions": _library_versions(), **described}
+        metadata.setdefault("instances", {})
         return Frame({name: images[name] for name in requested}, metadata)
+
+    def _photographs(self, request: _Request) -> _Made:
+        """What the camera measures of the light."""
+        if not _traced(request.requested) - DEPTH_CAMERA_OUTPUTS - STEREO_OUTPUTS:
+            return {}, {}
+        camera, scene = request.camera, request.scene
+        signal, sampling = self._kernel.trace(camera, request.quality, request.seeds(1), scene)
+        panel = request.partners.white_reference
+        images, described = photographs(request.requested, signal, camera, scene, panel, request.seeds(0))
+        return images, {"sampling": sampling, **described}
+
+    def _stereo_photograph(self, request: _Request) -> _Made:
+        """The photograph of the stereo partner, with noise and samples of its own, and the partner's pose."""
+        partner, scene = request.partners.stereo, request.scene
+        if partner is None or not STEREO_OUTPUTS.intersection(request.requested):
+            return {}, {}
+        described: dict[str, Any] = {"stereo_pose": partner.pose.tolist()}
+        if "colour_stereo" not in request.requested:
+            return {}, described
+        noise, sampling = request.seeds(2).spawn(2)
+        signal, described["sampling_stereo"] = self._kernel.trace(partner, request.quality, sampling, scene)
+        panel = request.partners.white_reference
+        images, _ = photographs(("colour",), signal, partner, scene, panel, noise)
+        return {"colour_stereo": images["colour"]}, described
+
+    def _depth_images(self, request: _Request) -> _Made:
+        """What the depth camera measures."""
+        names, depth = DEPTH_CAMERA_OUTPUTS.intersection(request.requested), request.partners.depth
+        if not names or depth is None:
+            return {}, {}
+        from pepperscene.render.depth_sensor import depth_camera_images
+
+        kernel, scene, quality = self._kernel, request.scene, request.quality
+        return depth_camera_images(kernel, scene, request.camera, depth, names, quality, request.seeds(3))
+
+    def _ground_truth(self, request: _Request) -> _Made:
+        """What rays through the pixels find, and the instances in view."""
+        if all(OUTPUTS[name].traced for name in request.requested):
+            return {}, {}
+        images, instances = self._labels.images(
+            request.requested, request.camera, request.partners, request.scene
+        )
+        return images, {"instances": instances}
 
     def visible_points(
         self,
@@ -239,7 +212,7 @@ class Renderer:
             return visible_points(
                 self._kernel.truth_scene(), self._kernel.coordinates, camera, points, normals
             )
-        organ = self._organs.of([alone])[alone].scene
+        organ = self._labels.organs.of([alone])[alone].scene
         return visible_points(organ, self._kernel.coordinates, camera, points, normals, has_borders=False)
 
     def meter(
@@ -279,56 +252,28 @@ class Renderer:
         """The scene under the sky of a frame."""
         return self.scene if isinstance(sky, str) else dataclasses.replace(self.scene, sky=sky)
 
-    @functools.cached_property
-    def _coverage(self) -> SceneCoverage:
-        from pepperscene.render.aov.coverage import SceneCoverage
 
-        return SceneCoverage(self.scene.mesh)
-
-    @functools.cached_property
-    def _traits(self) -> SceneTraits:
-        from pepperscene.render.aov.traits import SceneTraits
-
-        return SceneTraits(self.scene)
-
-    @functools.cached_property
-    def _harvest(self) -> SceneHarvest:
-        from pepperscene.render.aov.harvest import SceneHarvest
-
-        return SceneHarvest(self.scene, self._organs)
-
-    @functools.cached_property
-    def _organs(self) -> IsolatedOrgans:
-        from pepperscene.render.aov.isolated import IsolatedOrgans
-
-        return IsolatedOrgans(self.scene.mesh)
+def _traced(requested: Iterable[str]) -> set[str]:
+    """The requested outputs that need light."""
+    return {name for name in requested if OUTPUTS[name].traced}
 
 
-def _check_others(requested: tuple[str, ...], others: Mapping[str, Camera]) -> Mapping[str, Camera]:
-    """Reject unknown names of other cameras, and a missing stereo partner."""
-    for name in others:
-        if name not in ("flow", "stereo"):
-            raise InputError("others", "unknown camera; allowed are flow, stereo", key=name)
-    partnered = [name for name in requested if name in STEREO_OUTPUTS]
-    if partnered and "stereo" not in others:
-        raise InputError("others", f"the output {partnered[0]} needs this camera", key="stereo")
-    return others
+def _check_partners(requested: tuple[str, ...], partners: Partners) -> None:
+    """Raise `InputError` if an output needs a partner that is missing."""
+    needed = ((partners.stereo, "stereo", STEREO_OUTPUTS), (partners.depth, "depth", DEPTH_CAMERA_OUTPUTS))
+    for partner, key, outputs in needed:
+        missing = [name for name in requested if name in outputs]
+        if partner is None and missing:
+            raise InputError("partners", f"the output {missing[0]} needs this camera", key=key)
 
 
-def _photographs(
-    requested: tuple[str, ...], signal: NDArray[np.float32], camera: Camera, noise: np.random.SeedSequence
-) -> dict[str, NDArray[Any]]:
-    """The camera's outputs from the light that reaches its pixels; that of a large image is overwritten."""
-    electrons = image_electrons(signal, camera)
-    images: dict[str, NDArray[Any]] = {}
-    if "electrons" in requested:
-        images["electrons"] = electrons.astype(np.float32, copy=False)
-    # Both start from the same generator state: the image is developed from exactly this raw frame.
-    if "raw" in requested:
-        images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))
-    if "colour" in requested:
-        images["colour"] = develop(electrons, camera, np.random.default_rng(noise))
-    return images
+def _with_exposure(partners: Partners, chosen: ChosenExposure) -> Partners:
+    """The partners with the exposure of their camera, except the depth camera."""
+    if partners.flow is not None:
+        partners = dataclasses.replace(partners, flow=with_exposure(partners.flow, chosen))
+    if partners.stereo is not None:
+        partners = dataclasses.replace(partners, stereo=with_exposure(partners.stereo, chosen))
+    return partners
 
 
 @functools.cache

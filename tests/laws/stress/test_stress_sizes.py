@@ -10,7 +10,7 @@ from bodies import EVEN_SKY, axis_camera, card, sheet
 from processes import run_python
 from strain import assert_sound, render, surface
 
-from pepperscene.camera import load_sensor
+from pepperscene.camera import Partners, load_sensor
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.outputs import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render import Quality, Renderer
@@ -64,7 +64,7 @@ def test_accepts_any_image_size_for_all_outputs(size, quality):
     outputs = [name for name in OUTPUTS if name not in left_out]
     other = camera.at_pose(camera.pose + 0.01 * np.eye(4, k=3))
     frame = Renderer(leaf_and_wall()).render(
-        camera, outputs, quality, others={"flow": other, "stereo": other}
+        camera, outputs, quality, partners=Partners(flow=other, stereo=other)
     )
     assert_sound(frame)
     for name, image in frame.images.items():

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
@@ -22,17 +22,17 @@ from pepperscene.building.scenes.optics import (
 from pepperscene.building.scenes.scene_builder import NearPlants, SceneBuilder, make_greenhouse
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
-from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, OUTPUTS, needs_surfaces
+from pepperscene.outputs import OUTPUTS, needs_surfaces
 from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.camera_views import CameraViews
 from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
 from pepperscene.recipe.resolve.load import resolve_recipe
-from pepperscene.recipe.resolve.load_camera import surface_wavelengths, white_reference
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, DepthCamera, WhiteReference
+    from pepperscene.camera import Camera, Partners
     from pepperscene.camera.image.auto_exposure import ChosenExposure, ExposureControl
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
@@ -50,18 +50,21 @@ class SceneRenderer(Protocol):
         quality: str | Quality = ...,
         seed: int = ...,
         *,
-        others: Mapping[str, Camera] = ...,
-        sky: Sky | None = ...,
+        partners: Partners = ...,
+        sky: Sky | Literal["scene"] | None = ...,
         exposure_control: ExposureControl | None = ...,
-        depth_camera: DepthCamera | None = ...,
-        white_reference: WhiteReference | None = ...,
     ) -> Frame:
-        """Render one view; the arguments after `seed` are passed only if a frame needs them."""
+        """Render one view; see `Renderer.render`."""
 
     def meter(
         self, camera: Camera, control: ExposureControl, seed: int, sky: Sky | None, quality: str | Quality
     ) -> ChosenExposure:
         """Choose the exposure of a view."""
+
+    def visible_points(
+        self, camera: Camera, points: Any, normals: Any = ..., *, alone: int | None = ...
+    ) -> Any:
+        """Whether points can be seen; see `PointTest`."""
 
 
 RendererFactory = Callable[["Scene"], SceneRenderer]
@@ -95,11 +98,6 @@ class _HeldScene:
     light: tuple[int, str]
     assembled: AssembledScene
     renderer: SceneRenderer
-
-    @property
-    def visible_points(self) -> Any:
-        """The renderer's test of points; None of a renderer without views that depend on the plants."""
-        return getattr(self.renderer, "visible_points", None)
 
 
 class FrameRenderer:
@@ -161,22 +159,21 @@ class FrameRenderer:
         """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
         held = self._scene_of(spec, setup, needs_surfaces(outputs))
-        scene, visible = held.assembled.scene, held.visible_points
-        others = self.views.others(spec, outputs, scene, visible)
-        camera = self.camera(spec, traced=False)
-        seed = frame_seed(self.recipe.seed, spec.index)
-        # Renderers receive further arguments only if an output needs them.
-        further: dict[str, Any] = {"others": others} if others else {}
-        if traced and held.light != (spec.set, setup.light):
-            further["sky"] = self.sky(spec)
-        if traced and setup.recipe.exposure_control is not None:
-            further["exposure_control"] = setup.recipe.exposure_control.control()
-        if DEPTH_CAMERA_OUTPUTS.intersection(outputs):
-            further["depth_camera"] = self.views.depth_camera(spec, scene, visible)
-        if "reflectance" in outputs:
-            further["white_reference"] = white_reference(setup.recipe)
+        partners = self.views.partners(spec, outputs, held.assembled.scene, held.renderer.visible_points)
+        control = setup.recipe.exposure_control if traced else None
+        frame_sky: Sky | Literal["scene"] | None = (
+            self.sky(spec) if traced and held.light != (spec.set, setup.light) else "scene"
+        )
         self._on_stage(f"rendering frame {spec.index}")
-        frame = held.renderer.render(camera, outputs=outputs, quality=quality, seed=seed, **further)
+        frame = held.renderer.render(
+            self.camera(spec, traced=False),
+            outputs,
+            quality,
+            frame_seed(self.recipe.seed, spec.index),
+            partners=partners,
+            sky=frame_sky,
+            exposure_control=None if control is None else control.control(),
+        )
         return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
 
     def camera(self, spec: FrameSpec, quality: str | Quality = "standard", *, traced: bool = True) -> Camera:
@@ -194,8 +191,7 @@ class FrameRenderer:
         if control is None and not self.views.depends_on_scene:
             return self.views.camera(spec)
         held = self._scene_of(spec, setup, traced=control is not None)
-        visible = held.visible_points
-        camera = self.views.camera(spec, held.assembled.scene, visible)
+        camera = self.views.camera(spec, held.assembled.scene, held.renderer.visible_points)
         if control is None:
             return camera
         from pepperscene.camera.image.auto_exposure import with_exposure

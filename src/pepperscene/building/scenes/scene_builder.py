@@ -334,10 +334,8 @@ class NearPlants:
         from pepperscene.scene import assemble_scene
 
         scene = assemble_scene(built.mesh, skeleton=built.skeleton)
-        visible = getattr(self._renderer(scene), "visible_points", None)
+        visible = self._renderer(scene).visible_points
         if self._views.are_random:
-            if visible is None:
-                return (), {}  # such a renderer cannot show random views
             specs = [spec for spec in specs if spec.step < DECISIVE_VIEWS]
         return coarse.shown_near(self._views.near_views(specs, scene, visible)), self._views.drawn(scene)
 

@@ -15,11 +15,12 @@ from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, STEREO_OUTPUTS
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
+from pepperscene.recipe.resolve.load_camera import white_reference
 from pepperscene.recipe.views.fixed_views import View, fixed_view
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews, Views
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, DepthCamera
+    from pepperscene.camera import Camera, DepthCamera, Partners
     from pepperscene.recipe.views.free_space import FreeSpace
     from pepperscene.recipe.views.near_plants import CoarsePlants, NearViews
     from pepperscene.recipe.views.random_views import RandomView
@@ -91,31 +92,35 @@ class CameraViews:
         camera = camera.at_pose(view.pose)
         return camera if view.motion is None else replace(camera, motion=view.motion)
 
-    def others(
+    def partners(
         self,
         spec: FrameSpec,
         outputs: Iterable[str],
         scene: Scene | None = None,
         visible: PointTest | None = None,
-    ) -> dict[str, Camera]:
-        """The further cameras that outputs of a frame need, by purpose.
+    ) -> Partners:
+        """The further devices that outputs of a frame need.
 
-        "flow" is the camera of the next step, missing at the last one; "stereo" is the partner, which
-        looks in the same direction from one baseline further right, at the same time and by the same flash.
-        Raises `InputError` if the recipe has no partner that an output needs.
+        The camera of the next step is missing at the last one. The stereo partner looks in the same direction
+        from one baseline further right, at the same time and by the same flash. Raises `InputError` if the
+        recipe has no partner that an output needs.
         """
+        from pepperscene.camera import Partners
+
         names, recipe = set(outputs), self._setups.at(spec).recipe
         check_further_cameras(recipe, names)
-        cameras = {}
+        partners = Partners()
         if "flow" in names and spec.step + 1 < self._plan.frames:
             next_spec = self._plan.frame(spec.index + self._plan.cameras)
-            cameras["flow"] = self.camera(next_spec, scene, visible)
-        if names & STEREO_OUTPUTS:
-            assert recipe.camera.baseline_mm is not None  # checked above
-            cameras["stereo"] = _stereo_partner(
-                self.camera(spec, scene, visible), recipe.camera.baseline_mm / 1e3
-            )
-        return cameras
+            partners = replace(partners, flow=self.camera(next_spec, scene, visible))
+        if names & STEREO_OUTPUTS and recipe.camera.baseline_mm is not None:
+            stereo = _stereo_partner(self.camera(spec, scene, visible), recipe.camera.baseline_mm / 1e3)
+            partners = replace(partners, stereo=stereo)
+        if names & DEPTH_CAMERA_OUTPUTS:
+            partners = replace(partners, depth=self.depth_camera(spec, scene, visible))
+        if "reflectance" in names:
+            partners = replace(partners, white_reference=white_reference(recipe))
+        return partners
 
     def depth_camera(
         self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None

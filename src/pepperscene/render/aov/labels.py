@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,7 +15,6 @@ from pepperscene.geometry import Mesh
 from pepperscene.render.arrays import device_uint
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.variant import mitsuba_modules
-from pepperscene.truth import class_colour, distance_code
 
 _TILE: Final = 4
 """Pixels along the sides of a tile. Embree traces rays in packets of 16: those of a square stay together
@@ -65,28 +63,6 @@ def first_hits(scene: Any, rays: CameraRays, in_rows: slice = slice(None)) -> Hi
     # Copies: frames can outlive the kernel's memory, or be read by another thread.
     metres = np.array(distance).reshape(shape) * np.float32(rays.unit_m)
     return Hits(np.asarray(face).reshape(shape).astype(np.int64), metres, top)
-
-
-def label_outputs(
-    mesh: Mesh, hits: Hits, instance: NDArray[np.uint16], camera: Camera, outputs: Sequence[str]
-) -> dict[str, NDArray[Any]]:
-    """Compute the requested outputs that follow from the hits behind a camera's pixels and `instance_ids`.
-
-    Names of other outputs are ignored.
-    """
-    classes = functools.cache(lambda: class_ids(mesh, instance))
-    makers: dict[str, Callable[[], NDArray[Any]]] = {
-        "class": classes,
-        "class_colour": lambda: class_colour(classes()),
-        "instance": lambda: instance,
-        "distance": lambda: hits.distance,
-        "distance_code": lambda: distance_code(hits.distance),
-        "depth_z": lambda: depth_z(hits, camera),
-        "normal": lambda: normals(mesh, hits, camera),
-        "position": lambda: positions(hits, camera).astype(np.float32),
-        "uv": lambda: surface_coordinates(mesh, hits, camera),
-    }
-    return {name: make() for name, make in makers.items() if name in outputs}
 
 
 def visible_instances(mesh: Mesh, instance: NDArray[np.uint16]) -> dict[str, dict[str, Any]]:

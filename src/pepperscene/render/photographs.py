@@ -1,4 +1,4 @@
-"""What a sensor with bands measures: electrons with noise, radiance, and reflectance by a white reference."""
+"""What a sensor makes of light: electrons, raw frame, photograph; of bands also radiance and reflectance."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, electrons_per_light, measured_electrons
+from pepperscene.camera import (
+    Camera,
+    develop,
+    electrons_per_light,
+    image_electrons,
+    measured_electrons,
+    raw_frame,
+)
 from pepperscene.camera.optics.white_reference import UNLIT_BANDS, WhiteReference, flash_on_panel
 from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.render.kernel.camera import (
@@ -25,7 +32,46 @@ LEAST_SIGNAL: Final = 3.0
 deviations (Currie 1968, Anal. Chem. 40:586). With less light, quotients are noise."""
 
 
-def radiance_image(signal: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+def photographs(
+    requested: Collection[str],
+    signal: NDArray[np.float32],
+    camera: Camera,
+    scene: Scene,
+    panel: WhiteReference,
+    noise: np.random.SeedSequence,
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The requested outputs of a sensor, and the description of the white reference.
+
+    Args:
+        requested: names of outputs; others are ignored.
+        signal: `(h, w, c)` light, as of `expected_electrons`; that of a large image is overwritten.
+        camera: of the frame.
+        scene: with the frame's sky.
+        panel: the white reference.
+        noise: seed of the sensor's noise.
+    """
+    images: dict[str, NDArray[Any]] = {}
+    described: dict[str, Any] = {}
+    if "radiance" in requested:
+        images["radiance"] = _radiance(signal, camera)
+    electrons = image_electrons(signal, camera)
+    # All start from the same generator state: the image is developed from exactly this raw frame.
+    if "raw" in requested:
+        images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))
+    if "colour" in requested:
+        images["colour"] = develop(electrons, camera, np.random.default_rng(noise))
+    if {"electrons", "bands", "reflectance"}.intersection(requested):
+        images["electrons"] = electrons.astype(np.float32, copy=False)
+    if {"bands", "reflectance"}.intersection(requested):
+        images["bands"] = measured_electrons(images["electrons"], camera, np.random.default_rng(noise))
+    if "reflectance" in requested:
+        images["reflectance"], described["white_reference"] = _reflectance(
+            images["bands"], camera, scene, panel
+        )
+    return {name: image for name, image in images.items() if name in requested}, described
+
+
+def _radiance(signal: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """`(h, w, c)` radiance of each band from its light, as of `expected_electrons`."""
     integrals = response_integrals(camera)
     radiance = np.empty(signal.shape, np.float32)
@@ -34,43 +80,23 @@ def radiance_image(signal: NDArray[np.float32], camera: Camera) -> NDArray[np.fl
     return radiance
 
 
-def measured_images(
-    names: Collection[str],
-    electrons: NDArray[np.float32],
-    camera: Camera,
-    scene: Scene,
-    panel: WhiteReference,
-    noise: np.random.SeedSequence,
-) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """What a sensor with bands measures of what is requested, and the description of the white reference.
-
-    Args:
-        names: of outputs.
-        electrons: `(h, w, c)` expected electrons.
-        camera: of the frame.
-        scene: with the frame's sky.
-        panel: the white reference.
-        noise: seed of the sensor's noise.
-    """
-    images: dict[str, NDArray[np.float32]] = {}
-    described: dict[str, Any] = {}
-    if {"bands", "reflectance"}.intersection(names):
-        images["bands"] = measured_electrons(electrons, camera, np.random.default_rng(noise))
-    if "reflectance" in names:
-        light = white_light(camera, scene, panel)
-        reflectance = np.empty(electrons.shape, np.float32)
-        for rows in row_strips(camera.width, camera.height):
-            white = light[rows, None] * electrons_per_light(camera, rows)[..., None]
-            lit = is_detected(white, camera)
-            signal = panel.reflectance * images["bands"][rows]
-            reflectance[rows] = np.divide(signal, white, out=np.full(white.shape, np.nan), where=lit)
-        images["reflectance"] = reflectance
-        on_axis = light[camera.height // 2] / response_integrals(camera)
-        described["white_reference"] = {**panel.to_metadata(), "radiance": on_axis.tolist()}
-        unlit = np.flatnonzero(np.isnan(reflectance).any(axis=(0, 1)))
-        if unlit.size:
-            described["white_reference"][UNLIT_BANDS] = unlit.tolist()
-    return images, described
+def _reflectance(
+    measured: NDArray[np.float32], camera: Camera, scene: Scene, panel: WhiteReference
+) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    """`(h, w, c)` measured electrons over those of a white reference, nan where that has too little light."""
+    light = white_light(camera, scene, panel)
+    reflectance = np.empty(measured.shape, np.float32)
+    for rows in row_strips(camera.width, camera.height):
+        white = light[rows, None] * electrons_per_light(camera, rows)[..., None]
+        lit = is_detected(white, camera)
+        signal = panel.reflectance * measured[rows]
+        reflectance[rows] = np.divide(signal, white, out=np.full(white.shape, np.nan), where=lit)
+    on_axis = light[camera.height // 2] / response_integrals(camera)
+    described = {**panel.to_metadata(), "radiance": on_axis.tolist()}
+    unlit = np.flatnonzero(np.isnan(reflectance).any(axis=(0, 1)))
+    if unlit.size:
+        described[UNLIT_BANDS] = unlit.tolist()
+    return reflectance, described
 
 
 def is_detected(electrons: Array, camera: Camera) -> NDArray[np.bool_]:
