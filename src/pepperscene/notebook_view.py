@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from io import BytesIO
+from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pepperscene.errors import InputError
+from pepperscene.user_files import open_file
+
+_SHOWN: Final = 6  # chosen: frames of a data set; two rows in a notebook
+
+VIEWABLE: Final = ("colour", "class_colour", "class", "instance", "distance_code", "raw")
+"""Outputs that any viewer shows, the best first."""
 
 WIDTH_PX: Final = 200
 """Chosen: width of a picture; four fit beside each other in a notebook."""
@@ -55,3 +65,32 @@ def object_html(text: str, figures: Iterable[str] = (), notes: Iterable[str] = (
 def _figure_html(content: str, caption: str) -> str:
     label = f'<figcaption style="font-size:smaller">{html.escape(caption)}</figcaption>'
     return f'<figure style="margin:0">{content}{label}</figure>'
+
+
+def frames_html(
+    text: str, indices: Sequence[int], path: Callable[[int, str], Path], notes: Sequence[str] = ()
+) -> str:
+    """HTML of some of a data set's frames, evenly spaced.
+
+    Args:
+        text: line above the pictures.
+        indices: of all frames.
+        path: from index and output to its file.
+        notes: lines below the pictures.
+    """
+    return object_html(text, _pictures(indices, path), notes)
+
+
+def _pictures(indices: Sequence[int], path: Callable[[int, str], Path]) -> Iterator[str]:
+    """A picture for each of some frames; a frame without one, or with a damaged one, is left out."""
+    step = max(1, -(-len(indices) // _SHOWN))
+    for index in indices[::step]:
+        files = (path(index, output) for output in VIEWABLE)
+        file = next((file for file in files if file.exists()), None)
+        if file is not None:
+            # Files are in the folders of the outputs.
+            with (
+                suppress(InputError, OSError, ValueError),
+                open_file(file, "image", within=file.parents[1]) as content,
+            ):
+                yield picture_html(content, f"frame {index}")

@@ -50,7 +50,7 @@ def train(
     half: HalfOption = None,
 ) -> None:
     """Train a network to separate the classes of labelled images."""
-    from pepperscene.dataset.readers.several import open_image_sets
+    from pepperscene.dataset.readers.open import open_image_sets
 
     # Find errors in the arguments before torch is imported, which takes seconds.
     names_model = _is_given(context, "model")
@@ -158,7 +158,7 @@ def evaluate(
 ) -> None:
     """Compare a model's predictions with the masks of images: IoU, precision, recall and confusion."""
     from pepperscene.atomic import check_can_write
-    from pepperscene.dataset.readers.several import open_image_sets
+    from pepperscene.dataset.readers.open import open_image_sets
     from pepperscene.learning.evaluation.evaluate import evaluate as evaluate_model
     from pepperscene.learning.evaluation.page import JSON_NAME, PAGE_NAME, write_evaluation
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pepperscene.camera.sensor.bands import Band
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
-from pepperscene.dataset.store.band_channels import recorded_bands
+from pepperscene.dataset.store.images import recorded_bands
 from pepperscene.errors import InputError
 from pepperscene.export.formats import BAND_IMAGES
 from pepperscene.export.job import ExportJob, write_json

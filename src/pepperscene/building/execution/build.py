@@ -15,14 +15,14 @@ from pepperscene.atomic import write_error
 from pepperscene.building.execution.executor import Dispatcher, Executor, work_units
 from pepperscene.building.execution.job import BuildJob, BuildOptions, FrameDone
 from pepperscene.building.execution.local import MAX_WORKERS, ProcessExecutor, SerialExecutor
-from pepperscene.dataset.store.band_channels import unlit_bands
 from pepperscene.dataset.store.dataset import Dataset
-from pepperscene.dataset.store.dataset_view import VIEWABLE, frames_html
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
+from pepperscene.dataset.store.images import unlit_bands
 from pepperscene.dataset.store.journal import append_timings
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.errors import ArgumentError, OutputError
+from pepperscene.notebook_view import VIEWABLE, frames_html
 from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe

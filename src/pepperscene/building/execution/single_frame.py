@@ -10,10 +10,9 @@ from pepperscene.atomic import canonical_json, check_can_write, digest, write_fi
 from pepperscene.building.execution.job import BuildJob, BuildOptions
 from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.dataset.store.band_channels import recorded_bands
 from pepperscene.dataset.store.dataset import MARK
 from pepperscene.dataset.store.frame_json import file_entry, read_json
-from pepperscene.dataset.store.images import encode_image
+from pepperscene.dataset.store.images import encode_image, recorded_bands
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.recipe.recipe import Recipe

@@ -26,7 +26,7 @@ from pepperscene.colour.patches.open import open_patches
 from pepperscene.colour.patches.patch import PatchSet
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.readers.several import half_targets, label_targets
+from pepperscene.dataset.readers.open import half_targets, label_targets
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.truth import centre_side
 

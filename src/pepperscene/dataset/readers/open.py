@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self, final
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from pepperscene.dataset.readers.coco import coco_files, open_coco
 from pepperscene.dataset.readers.folder import FolderSet
 from pepperscene.dataset.readers.image_set import SOURCES, ImageSet, LabelledImage, image_of_files
-from pepperscene.dataset.readers.labels import LabelMap
+from pepperscene.dataset.readers.labels import LABEL_FILE, LabelMap
 from pepperscene.dataset.readers.published import PublishedSet, published_halves
 from pepperscene.dataset.store.dataset import MARK, Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_frame, read_output, read_outputs
 from pepperscene.dataset.store.frame_json import DIGITS
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.outputs import OUTPUTS
 from pepperscene.truth import class_from_colour, distance_from_code
 
@@ -115,3 +115,58 @@ def open_images(
     if is_coco_file or coco_files(folder):
         return open_coco(folder, labels)
     return FolderSet.from_folder(folder, labels)
+
+
+def open_image_sets(
+    paths: Sequence[str | Path], *, labels: str | None = None, half: str | None = None
+) -> tuple[ImageSet, ...]:
+    """Open one or more image sets in any layout.
+
+    Args:
+        paths: as for `open_images`.
+        labels: name of a table of labels, for each folder of images with masks that has no `classes.toml`;
+            if all have one, for all, overriding it.
+        half: of the published data set, for each path that holds both; if none does, for each that holds one.
+
+    Raises:
+        InputError: see `open_images`; or an option applies to none of the sets.
+    """
+    places = [Path(path) for path in paths]
+    for place in places:
+        if not place.exists():
+            raise InputError(place, "must be a folder of images")
+    tables, halves = label_targets(places), half_targets(places)
+    if labels is not None and not any(tables):
+        raise ArgumentError("labels", "applies only to a folder of images with masks; no set is one")
+    if half is not None and not any(halves):
+        raise ArgumentError("half", "applies only to the published data set; no set is one")
+    return tuple(
+        open_images(path, labels=labels if table else None, half=half if is_published else None)
+        for path, table, is_published in zip(places, tables, halves, strict=True)
+    )
+
+
+def label_targets(paths: Sequence[Path]) -> list[bool]:
+    """Which of these paths one table of labels applies to.
+
+    Folders of images without a `classes.toml`, or all folders of images if each has one.
+    """
+    folders = [_is_plain_folder(path) for path in paths]
+    without = [plain and not (path / LABEL_FILE).exists() for path, plain in zip(paths, folders, strict=True)]
+    return without if any(without) else folders
+
+
+def half_targets(paths: Sequence[Path]) -> list[bool]:
+    """Which of these paths the name of one half of the published data set applies to.
+
+    Those that hold both halves, or those that hold one if none holds both.
+    """
+    counts = [len(published_halves(path)) for path in paths]
+    both = [count > 1 for count in counts]
+    return both if any(both) else [count > 0 for count in counts]
+
+
+def _is_plain_folder(path: Path) -> bool:
+    """Whether a path is a folder of images with masks, in no other layout."""
+    is_other = (path / MARK).exists() or bool(published_halves(path)) or bool(coco_files(path))
+    return path.is_dir() and not is_other

@@ -29,7 +29,6 @@ from pepperscene.atomic import (
     write_file,
 )
 from pepperscene.camera.sensor.bands import Band
-from pepperscene.dataset.store.band_channels import recorded_bands
 from pepperscene.dataset.store.frame_json import (
     CHECKSUM,
     DIGITS,
@@ -40,7 +39,7 @@ from pepperscene.dataset.store.frame_json import (
     is_as_written,
     read_json,
 )
-from pepperscene.dataset.store.images import encode_image, read_image
+from pepperscene.dataset.store.images import encode_image, read_image, recorded_bands
 from pepperscene.dataset.store.journal import read_timings
 from pepperscene.dataset.store.manifest import (
     FRUIT,
@@ -56,6 +55,7 @@ from pepperscene.dataset.store.manifest import (
     write_table,
 )
 from pepperscene.errors import InputError
+from pepperscene.notebook_view import frames_html
 from pepperscene.outputs import OUTPUTS
 from pepperscene.user_files import FileKind, MissingFileError, open_file
 
@@ -90,8 +90,6 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """Some frames, small, for notebooks."""
-        from pepperscene.dataset.store.dataset_view import frames_html
-
         return frames_html(repr(self), self.indices(), self.path)
 
     def indices(self) -> tuple[int, ...]:

@@ -12,9 +12,10 @@ and cannot write these bytes.
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -23,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.atomic import canonical_json
+from pepperscene.camera.optics.white_reference import UNLIT_BANDS
 from pepperscene.camera.sensor.bands import Band
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.store.band_channels import band_attributes, band_channels, sorted_bands
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError
 from pepperscene.outputs import BAND_OUTPUTS, OUTPUTS
@@ -34,6 +35,7 @@ from pepperscene.user_files import check_file, open_file, read_file
 
 _LUMINANCE: Final = ("Y",)  # channel of electrons and albedo behind no colour filter
 
+_CHANNEL: Final = re.compile(r"B(\d+)(\.\d+nm)?")
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _GREY, _RGB, _PALETTE = 0, 2, 3  # PNG colour types
 _UP: Final = 2  # PNG filter: each row holds its difference from the row above
@@ -150,7 +152,7 @@ def _exr_bytes(image: NDArray[Any], output: str, bands: Sequence[Band]) -> bytes
     compression = OpenEXR.ZIP_COMPRESSION if OUTPUTS[output].in_runs else OpenEXR.NO_COMPRESSION
     header = {"compression": compression, "type": OpenEXR.scanlineimage, "unit": OUTPUTS[output].unit}
     if bands and OUTPUTS[output].has_channels:
-        header |= band_attributes(bands)
+        header |= _band_attributes(bands)
     channels = {name: np.ascontiguousarray(planes[..., axis]) for axis, name in enumerate(names)}
     # Into memory: to a file the library writes every line with a system call (4.0 ms against 2.3).
     stream = BytesIO()
@@ -162,7 +164,7 @@ def _channel_names(count: int, output: str, bands: Sequence[Band]) -> Sequence[s
     """Names of the channels of an image with a third axis."""
     if OUTPUTS[output].has_channels:
         if bands or output in BAND_OUTPUTS:
-            return band_channels(count, bands)
+            return _band_channels(count, bands)
         if count not in (1, 3):
             raise ValueError(f"{output} with {count} channels needs the bands of the sensor")
         return _LUMINANCE if count == 1 else OUTPUTS[output].channel_names
@@ -206,7 +208,7 @@ def _read_exr(path: Path, within: Path | None) -> NDArray[Any]:
         source = BytesIO(read_file(path, "values", within=within))
     with OpenEXR.File(source, separate_channels=True) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    if names := sorted_bands(channels):
+    if names := _sorted_bands(channels):
         return np.stack([channels[name] for name in names], axis=-1)
     for names in (*(output.channel_names for output in OUTPUTS.values()), _LUMINANCE):
         if set(channels) == set(names):
@@ -214,3 +216,50 @@ def _read_exr(path: Path, within: Path | None) -> NDArray[Any]:
     if len(channels) == 1:
         return next(iter(channels.values()))
     raise ValueError(f"channels {', '.join(sorted(channels))} belong to no output of this package")
+
+
+def _band_channels(count: int, bands: Sequence[Band] = ()) -> tuple[str, ...]:
+    """Names of `count` channels: `B01.475nm`, with the centre to a nanometre; `B01` without bands.
+
+    Raises:
+        ValueError: there is another number of bands.
+    """
+    if bands and len(bands) != count:
+        raise ValueError(f"{count} channels cannot be those of {len(bands)} bands")
+    digits = max(2, len(str(count)))
+    centres = [f".{band.centre_nm:.0f}nm" for band in bands] or [""] * count
+    return tuple(f"B{number:0{digits}d}{centre}" for number, centre in enumerate(centres, start=1))
+
+
+def _sorted_bands(channels: Iterable[str]) -> tuple[str, ...]:
+    """The channels in the order of their bands; empty if they are not those of bands."""
+    matches = {name: _CHANNEL.fullmatch(name) for name in channels}
+    numbers = {name: int(match[1]) for name, match in matches.items() if match is not None}
+    return tuple(sorted(numbers, key=numbers.__getitem__)) if len(numbers) == len(matches) else ()
+
+
+def _band_attributes(bands: Sequence[Band]) -> dict[str, str]:
+    """Attributes of an EXR header: centres and full widths at half maximum, and names if there are some."""
+    attributes = {
+        "wavelength_nm": ", ".join(f"{band.centre_nm:g}" for band in bands),
+        "fwhm_nm": ", ".join(f"{band.width_nm:g}" for band in bands),
+    }
+    if any(band.name for band in bands):
+        attributes["band_names"] = ", ".join(band.name for band in bands)
+    return attributes
+
+
+def recorded_bands(metadata: Mapping[str, Any]) -> tuple[Band, ...]:
+    """The bands in the JSON of a frame, whose types are valid; empty for a sensor without bands."""
+    return tuple(
+        Band(entry["name"], entry["centre_nm"], entry["width_nm"])
+        for entry in metadata.get("camera", {}).get("bands", ())
+    )
+
+
+def unlit_bands(metadata: Mapping[str, Any]) -> tuple[int, ...]:
+    """Bands, from 0, whose reflectance is nan somewhere in a frame, by its JSON, which may be damaged."""
+    reference = metadata.get("white_reference")
+    listed = reference.get(UNLIT_BANDS, ()) if isinstance(reference, Mapping) else ()
+    known = listed if isinstance(listed, list | tuple) else ()
+    return tuple(band for band in known if isinstance(band, int) and not isinstance(band, bool))

@@ -13,9 +13,8 @@ from pepperscene.atomic import digest as file_digest
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.readers.open import open_images
+from pepperscene.dataset.readers.open import label_targets, open_images
 from pepperscene.dataset.readers.published import published_halves
-from pepperscene.dataset.readers.several import label_targets
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.experiments.splits import (
     Split,

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.dataset.store.band_channels import unlit_bands
+from pepperscene.dataset.store.images import unlit_bands
 from pepperscene.outputs import OUTPUTS
 from pepperscene.review.check.findings import camera_centres, camera_integer
 from pepperscene.truth import saturated_fraction
