@@ -11,7 +11,7 @@ import pepperscene
 PACKAGE = Path(pepperscene.__file__).parent
 READER = PACKAGE / "user_files.py"
 BOUNDED = re.compile(r"\b(open_file|check_file|open_table_file|read_file|BytesIO)\(")
-WRITING = re.compile(r"""['"](w|wb|a|ab\+|x|xb)['"]|O_WRONLY""")
+WRITING = re.compile(r"""['"](w|wb|a|ab|x|xb)['"]|O_WRONLY""")
 
 METHODS = {"open", "read_text", "read_bytes", "fromfile", "memmap", "imread", "genfromtxt", "loadtxt"}
 """Methods that read a file, whatever they belong to."""
