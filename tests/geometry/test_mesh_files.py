@@ -125,9 +125,9 @@ def test_ply_has_class_and_instance_of_each_face():
         np.testing.assert_array_equal(vertex[name], expected)
 
 
-def glb_content():
+def glb_content(mesh=MESH):
     """The JSON part of a binary glTF file."""
-    content = mesh_files(MESH, "a.glb", LEAF_COLOURS)["a.glb"]
+    content = mesh_files(mesh, "a.glb", LEAF_COLOURS)["a.glb"]
     magic, version, length, size, kind = struct.unpack("<4sIII4s", content[:20])
     assert (magic, version, length, kind) == (b"glTF", 2, len(content), b"JSON")
     return json.loads(content[20 : 20 + size])
@@ -143,14 +143,20 @@ def test_glb_is_a_tree_of_organs_with_metadata():
     fruit = organs["fruit_0_node_7"]
     assert (fruit["class"], fruit["class_id"], fruit["kind"]) == ("pepper", 2, "fruit")
     assert (fruit["phytomer"], fruit["parent"], fruit["surface"]) == (7, 0, "fruit")
-    # Each organ is the child of its parent's node.
-    parents = [
-        (tree["nodes"][child]["name"], node["name"])
+
+
+@pytest.mark.parametrize(
+    ("left_out", "parents"),
+    [([], ("plant", NAMES[0], NAMES[1], "plant")), ([1], ("plant", "", NAMES[0], "plant"))],
+)
+def test_each_organ_is_below_the_nearest_of_its_ancestors_that_has_triangles(left_out, parents):
+    tree = glb_content(MESH.without_triangles(np.array(left_out, dtype=int)))
+    found = {
+        tree["nodes"][child]["name"]: node["name"]
         for node in tree["nodes"]
         for child in node.get("children", ())
-    ]
-    expected = [NAMES[item.parent] if item.parent >= 0 else "plant" for item in MESH.instances]
-    assert sorted(pair for pair in parents if pair[0] in NAMES) == sorted(zip(NAMES, expected, strict=True))
+    }
+    assert tuple(found.get(name, "") for name in NAMES) == parents
 
 
 def test_glb_has_the_given_colours_or_those_of_the_class():

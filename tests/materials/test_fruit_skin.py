@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene.materials.fruit_skin import FruitSkin, add_skin
-from pepperscene.materials.rind_textures import FRUIT_TEXTURES, SHAPE, FruitBody, FruitTextures
+from pepperscene.materials.rind_textures import (
+    FRUIT_TEXTURES,
+    SHAPE,
+    FruitBody,
+    FruitSkin,
+    FruitTextures,
+    add_skin,
+)
 
 SIZE_MM = (132.0, 320.0)
 ZERO = FruitTextures(*np.zeros((3, FRUIT_TEXTURES, *SHAPE)))

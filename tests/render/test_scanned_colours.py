@@ -13,12 +13,11 @@ from pepperscene.errors import ArgumentError
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.materials import Surface
-from pepperscene.materials.srgb_reflectance import srgb_basis
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.kernel.scene import light_scene, mitsuba_mesh, organ_table
 from pepperscene.render.reference.path_tracer import surface_bsdf
-from pepperscene.render.surface.scanned_colours import ScannedColours
+from pepperscene.render.surface.scanned_colours import ScannedColours, srgb_basis
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import assemble_scene
 

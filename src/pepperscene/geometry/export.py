@@ -14,10 +14,11 @@ from pepperscene.camera.image.colorimetry import srgb_decode
 from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry.mesh import PIGMENTS, Mesh
-from pepperscene.geometry.natural_colours import natural_colours
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
+
+    from pepperscene.materials import Surface
 
 FORMATS: Final = (".glb", ".obj", ".ply", ".stl")
 Colours = Literal["natural", "class"] | Mapping[str, NDArray[np.floating[Any]]]
@@ -26,6 +27,7 @@ Colours = Literal["natural", "class"] | Mapping[str, NDArray[np.floating[Any]]]
 STATE_STEPS: Final = 20
 """Steps of pigment state for which a GLB has separate materials: chosen, each too small to be seen."""
 
+_NM: Final = np.arange(380.0, 781.0, 5.0)
 _ROUGHNESS: Final[Mapping[str, float]] = {"fruit": 0.3, "peduncle": 0.45}  # chosen
 _OTHER_ROUGHNESS: Final = 0.7
 # glTF has y up and its viewer on +z: the plant's aisle side (-y) faces the viewer.
@@ -63,8 +65,9 @@ def organ_names(mesh: Mesh) -> tuple[str, ...]:
 def mesh_files(mesh: Mesh, name: str, colours: Colours = "natural") -> dict[str, bytes]:
     """Encode a mesh as a file, and as a second one for the materials of an OBJ.
 
-    - `.glb`: a node for each organ below the node of its parent, with its class, kind, surface, phytomer and
-      mean pigment state as extras, and the colours of a scan at its points; y up, as glTF requires.
+    - `.glb`: a node for each organ with triangles below that of its parent, or of the next one above that has
+      triangles, with its class, kind, surface, phytomer and mean pigment state as extras, and the colours of
+      a scan at its points; y up, as glTF requires.
     - `.obj`: a group for each organ, a material for each class and surface in the colour of the class, in a
       second file, `.mtl`; z up.
     - `.ply`: class colours, uv and pigment state at the vertices; class and instance of the faces; z up.
@@ -88,7 +91,7 @@ def mesh_files(mesh: Mesh, name: str, colours: Colours = "natural") -> dict[str,
     if isinstance(colours, str) and colours not in ("natural", "class"):
         raise ArgumentError("colours", f'must be "natural", "class" or a table by surface, not {colours!r}')
     if suffix == ".glb":
-        tables = {} if colours == "class" else natural_colours(mesh) if colours == "natural" else colours
+        tables = {} if colours == "class" else _natural_colours(mesh) if colours == "natural" else colours
         return {name: _encode_glb(mesh, tables)}
     return _encode_obj(mesh, name) if suffix == ".obj" else {name: _single_body(mesh, suffix)}
 
@@ -119,6 +122,41 @@ def write_mesh(mesh: Mesh, path: str | Path, colours: Colours = "natural") -> tu
     return tuple(files)
 
 
+def _natural_colours(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
+    """`(s, 3)` linear sRGB by surface, one row per tabulated pigment state.
+
+    It is the diffuse reflectance of the front in D65, for the CIE 1931 observer; a perfect diffuser is 1, 1,
+    1. Surfaces that are neither of the mesh's cultivar nor of the greenhouse have none.
+
+    Raises:
+        ArgumentError: the mesh has plants of several cultivars, whose surfaces have the same names.
+    """
+    from pepperscene.materials import greenhouse_surfaces, organ_surfaces
+    from pepperscene.spectra import colour_science
+
+    if len(mesh.cultivars) > 1:
+        names = ", ".join(cultivar.name for cultivar in mesh.cultivars)
+        problem = f'must be "class" or a table for a mesh with plants of several cultivars ({names})'
+        raise ArgumentError("colours", problem)
+    surfaces: dict[str, Surface] = {}
+    for cultivar in mesh.cultivars:
+        surfaces |= organ_surfaces(cultivar, _NM)
+    if not set(mesh.surfaces) <= set(surfaces):
+        surfaces = greenhouse_surfaces(_NM) | surfaces
+    colour = colour_science()
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    matching = np.stack([np.interp(_NM, observer.wavelengths, column) for column in observer.values.T])
+    light = colour.SDS_ILLUMINANTS["D65"]
+    weights = matching * np.interp(_NM, light.wavelengths, light.values)
+    weights /= weights[1].sum()
+    colours = {}
+    for name in set(mesh.surfaces) & set(surfaces):
+        spectra = surfaces[name].reflectance[:, 0]  # at the wavelengths `_NM`
+        rgb = colour.XYZ_to_RGB(spectra @ weights.T, "sRGB", apply_cctf_encoding=False)
+        colours[name] = np.clip(np.asarray(rgb, dtype=float), 0.0, 1.0)
+    return colours
+
+
 def _instance_meshes(mesh: Mesh) -> Iterator[tuple[int, Instance, str, float, NDArray[np.uint32], Trimesh]]:
     """Index, instance, surface, mean state, vertices and body of each instance with triangles, in order."""
     import trimesh
@@ -142,6 +180,7 @@ def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) ->
 
     names, scene = organ_names(mesh), trimesh.Scene(base_frame="world")
     scene.graph.update(frame_from="world", frame_to="plant", matrix=_Y_UP)
+    nodes = (*names, "plant")  # the last one of organs without a parent
     materials: dict[str, Any] = {}
     factors: dict[str, list[float]] = {}
     for index, item, surface, state, used, body in _instance_meshes(mesh):
@@ -168,7 +207,7 @@ def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) ->
             body,
             node_name=names[index],
             geom_name=names[index],
-            parent_node_name=names[item.parent] if item.parent >= 0 else "plant",
+            parent_node_name=nodes[_parent_with_triangles(mesh, item.parent)],
             metadata={
                 "class": item.organ_class.name.lower(),
                 "class_id": int(item.organ_class),
@@ -190,6 +229,13 @@ def _encode_glb(mesh: Mesh, colours: Mapping[str, NDArray[np.floating[Any]]]) ->
     return bytes(
         trimesh.exchange.gltf.export_glb(scene, include_normals=True, tree_postprocessor=restore_colours)
     )
+
+
+def _parent_with_triangles(mesh: Mesh, organ: int) -> int:
+    """An organ, or else the nearest above it that has triangles, as only those have nodes; -1 for none."""
+    while organ >= 0 and not mesh.face_runs.count[organ]:
+        organ = mesh.instances[organ].parent
+    return organ
 
 
 def _base_colour(organ_class: OrganClass, step: int, colours: NDArray[Any] | None) -> list[float]:

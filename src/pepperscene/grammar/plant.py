@@ -60,11 +60,9 @@ class Plant:
 
     def _repr_html_(self) -> str:
         """A drawing from the side, for notebooks."""
-        from pepperscene.grammar.plant_view import plant_svg
         from pepperscene.notebook_view import object_html, svg_figure_html
 
-        organs = [(self.kinds[organ.kind].form, organ.curve, organ.measures) for organ in self.organs]
-        return object_html(repr(self), [svg_figure_html(plant_svg(organs), "seen along y")])
+        return object_html(repr(self), [svg_figure_html(_plant_svg(self), "seen along y")])
 
     def of_kind(self, name: str) -> tuple[Organ, ...]:
         """Organs of one kind, in order."""
@@ -73,6 +71,52 @@ class Plant:
     def of_form(self, form: OrganForm) -> tuple[Organ, ...]:
         """Organs of all kinds of one form, in order."""
         return tuple(organ for organ in self.organs if self.kinds[organ.kind].form == form)
+
+
+# Drawings of plants from the side, for notebooks.
+_HEIGHT_PX: Final = 480  # chosen: a plant of four metres is then legible in a notebook
+_MARGIN_M: Final = 0.1  # chosen: half of a large leaf
+_BLADE: Final = 0.4  # chosen: drawn part of a blade's width, because most blades are seen at an angle
+_STROKES: Final[dict[OrganForm, tuple[str, float]]] = {
+    "internode": ("#6b8e4e", 8.0),
+    "node": ("#6b8e4e", 10.0),
+    "stalk": ("#86ab5f", 4.0),
+    "blade": ("#2e7d32", 0.0),
+    "peduncle": ("#4f7d3a", 6.0),
+    "calyx": ("#4f7d3a", 8.0),
+    "fruit": ("#c62828", 0.0),
+    "flower": ("#dddddd", 12.0),
+}
+"""Chosen: colour and width in millimetres of the strokes of each form; 0 for the organ's own width."""
+_RIPE: Final = 0.5  # chosen: ripeness from which fruit is drawn in its ripe colour
+_UNRIPE: Final = "#33691e"
+
+
+def _plant_svg(plant: Plant) -> str:
+    """SVG of the centrelines of all organs, seen along y: blades and fruit about as wide as they are."""
+    points = np.concatenate([np.zeros((1, 3)), *(organ.curve for organ in plant.organs)])
+    left, bottom = points[:, 0].min() - _MARGIN_M, points[:, 2].min() - _MARGIN_M
+    width, height = np.ptp(points[:, 0]) + 2 * _MARGIN_M, np.ptp(points[:, 2]) + 2 * _MARGIN_M
+    # Millimetres, y downwards.
+    lines = "".join(
+        _organ_line(plant.kinds[organ.kind].form, organ, left, bottom + height) for organ in plant.organs
+    )
+    return (
+        f'<svg height="{_HEIGHT_PX}" viewBox="0 0 {1e3 * width:.0f} {1e3 * height:.0f}" '
+        f'xmlns="http://www.w3.org/2000/svg" fill="none" stroke-linecap="round">{lines}</svg>'
+    )
+
+
+def _organ_line(form: OrganForm, organ: Organ, left: float, top: float) -> str:
+    measures, curve = organ.measures, organ.curve
+    colour, width_mm = _STROKES.get(form, ("#888888", 4.0))
+    if width_mm == 0.0:
+        width_mm = 1e3 * measures.get("diameter_m", _BLADE * measures.get("width_m", 0.01))
+    if measures.get("ripeness", 1.0) < _RIPE:
+        colour = _UNRIPE
+    x, y = 1e3 * (curve[:, 0] - left), 1e3 * (top - curve[:, 2])
+    path = " ".join(f"{a:.0f},{b:.0f}" for a, b in zip(x, y, strict=True))
+    return f'<polyline points="{path}" stroke="{colour}" stroke-width="{width_mm:.0f}" stroke-opacity="0.7"/>'
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 
 from pepperscene.cultivar import PigmentPath
-from pepperscene.materials.contents import leaf_contents
 from pepperscene.materials.gloss import cone_gloss, cuticle_transmittance
-from pepperscene.materials.surface import Surface, refine_states
+from pepperscene.materials.surface import Surface, leaf_contents, refine_states
 from pepperscene.spectra import leaf_spectra
 from pepperscene.spectra.spectrum import FloatArray
 

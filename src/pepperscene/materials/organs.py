@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pepperscene.cultivar import Blade, Cultivar, Fruit, OrganForm, OrganModel
-from pepperscene.materials.fruit_skin import FruitSkin
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.materials.leaf_textures import leaf_textures
 from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.rind import cut_surface, fruit_surface, green_surface
+from pepperscene.materials.rind_textures import FruitSkin
 from pepperscene.materials.surface import Surface
 from pepperscene.materials.venation import BladeGrid
 from pepperscene.spectra.spectrum import FloatArray

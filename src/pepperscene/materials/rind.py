@@ -9,12 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pepperscene.cultivar import OrganForm, PigmentPath
-from pepperscene.materials.contents import rind_contents
-from pepperscene.materials.fruit_skin import FruitSkin, add_skin
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.materials.patterns import noise_mm
-from pepperscene.materials.rind_textures import fruit_textures, green_textures, uncorrelated
-from pepperscene.materials.surface import Surface, refine_states
+from pepperscene.materials.rind_textures import (
+    FruitSkin,
+    add_skin,
+    fruit_textures,
+    green_textures,
+    uncorrelated,
+)
+from pepperscene.materials.surface import Surface, refine_states, rind_contents
 from pepperscene.spectra import (
     Spectrum,
     absorption_coefficients,

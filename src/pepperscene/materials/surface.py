@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.cultivar import PigmentPath
 from pepperscene.spectra.spectrum import FloatArray
 
 AGEING_RANGE: Final = 0.25
@@ -143,3 +144,21 @@ def refine_states(spectra: Callable[[FloatArray, FloatArray], FloatArray], first
             return np.linspace(first, 1.0, (count + 1) // 2)
         rows = np.insert(midpoints, np.arange(len(midpoints) + 1), rows, axis=0)
     return np.linspace(first, 1.0, count)
+
+
+def rind_contents(path: PigmentPath, states: FloatArray) -> dict[str, FloatArray]:
+    """Contents `(s,)` of a rind at states `(s,)`: "chlorophyll" and "carotenoids", ug per cm2 of skin.
+
+    Carotenoids are those of green tissue and the red ones of ripe fruit (`capsanthin_ug_cm2`). The flesh
+    below the rind has no pigments. It is as thick as its light goes, so there is no water per area.
+    """
+    contents = path.at(states)
+    return {
+        "chlorophyll": contents["chlorophyll_ug_cm2"],
+        "carotenoids": contents["carotenoid_ug_cm2"] + contents["capsanthin_ug_cm2"],
+    }
+
+
+def leaf_contents(path: PigmentPath, states: FloatArray) -> dict[str, FloatArray]:
+    """Contents `(s,)` of a sheet: those of `rind_contents`, and "water", the equivalent thickness in cm."""
+    return {**rind_contents(path, states), "water": path.at(states)["water_cm"]}

@@ -23,7 +23,6 @@ from pepperscene.geometry.fruit.fruits import (
     ripeness,
 )
 from pepperscene.geometry.fruit.scan_clean import CleanBody, clean_scan, simplify_scan
-from pepperscene.geometry.fruit.scan_colours import transfer_colours
 from pepperscene.geometry.fruit.scan_file import read_triangles
 from pepperscene.geometry.fruit.scan_triangles import ALLOWED_SCAN
 from pepperscene.geometry.mesh import FloatArray, IndexArray, SingleArray
@@ -163,8 +162,32 @@ def _load(path: Path, up: ScanAxis, colour: bool, _changed_ns: int, _size: int) 
     if read.colours is not None:
         used = np.unique(read.faces)
         points = np.asarray(body.mesh.vertices) * body.extent + body.middle
-        colours = transfer_colours(points, upright[used], read.colours[used])
+        colours = _transfer_colours(points, upright[used], read.colours[used])
     return _unit_size(path, body, colours)
+
+
+def _transfer_colours(points: FloatArray, scanned: FloatArray, colours: FloatArray) -> SingleArray:
+    """Return `(v, 3)` colours of points: the mean of those of the scanned points nearest to each.
+
+    A point that is nearest to none, such as the centre of a closed hole, has the colour of the scanned point
+    nearest to it.
+
+    Args:
+        points: `(v, 3)` in the coordinates of the scanned ones.
+        scanned: `(n, 3)`.
+        colours: `(n, 3)` of the scanned points, linear.
+    """
+    from scipy.spatial import KDTree
+
+    _, owner = KDTree(points).query(scanned)
+    count = np.bincount(owner, minlength=len(points))
+    total = [np.bincount(owner, channel, minlength=len(points)) for channel in colours.T]
+    result = np.stack(total, axis=1) / np.maximum(count, 1)[:, None]
+    alone = count == 0
+    if alone.any():
+        _, nearest = KDTree(scanned).query(points[alone])
+        result[alone] = colours[nearest]
+    return result.astype(np.float32)
 
 
 def _unit_size(path: Path, body: CleanBody, colours: SingleArray | None) -> Scan:
