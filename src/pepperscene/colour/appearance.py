@@ -223,6 +223,7 @@ def radial_power_spectrum(luminance: ArrayLike) -> Floats:
     radius = np.hypot(np.fft.fftfreq(image.shape[0])[:, None], np.fft.rfftfreq(image.shape[1])[None])
     # Columns other than the first stand for two frequencies, f and -f.
     weight = np.where(np.arange(power.shape[1]) == 0, 1.0, 2.0)[None] * np.ones_like(power)
+    # Mean power of each ring of frequencies.
     ring = np.digitize(radius.ravel(), _ring_edges()) - 1
     inside = (ring >= 0) & (ring < SPECTRUM_BINS)
     sums = [

@@ -100,6 +100,7 @@ def circular_emd(first: ArrayLike, second: ArrayLike) -> float:
         raise ValueError("histograms must not be negative")
     if not (p.sum() > 0.0 and q.sum() > 0.0):
         return float("nan")
+    # Where the circle is cut is free: the median is the cut that moves least.
     difference = np.cumsum(p / p.sum() - q / q.sum())
     return float(np.abs(difference - np.median(difference)).sum() * (360.0 / p.size))
 

@@ -43,6 +43,7 @@ def uncertainty(problem: FitProblem, vector: Array) -> Uncertainty:
     If the residuals are larger than expected, the errors of the data are assumed to be larger by the same
     factor (the Birge ratio; Birge 1932, Phys. Rev. 40:207).
     """
+    # The curvature of data and priors is the inverse of the posterior covariance.
     slopes = problem.data_jacobian(problem.values(vector), problem.entries)
     curvature = slopes.T @ slopes / _squared_birge_ratio(problem, vector) + np.diag(problem.sd**-2.0)
     covariance = np.linalg.inv(curvature)
@@ -161,6 +162,7 @@ class _LinearModel:
         # With larger errors, the fitted entries alone would move towards their prior means as well.
         before = self._deviance(fitted_entries, error_scale)
         evidence = {"": before - self._deviance(all_entries, error_scale)}
+        # Each parameter alone: one of so many possible causes, which its prior probability pays for.
         for name in dict.fromkeys(names):
             selected = np.concatenate(
                 [fitted_entries, fitted + np.flatnonzero([entry_name == name for entry_name in names])]

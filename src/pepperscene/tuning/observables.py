@@ -67,6 +67,7 @@ def observables(linear: Array) -> Array:
 def observables_and_derivatives(linear: Array, derivatives: Array) -> tuple[Array, Array]:
     """Observables of pixels `(n, 3)`, and their derivatives `(8, p)` from those of the pixels `(p, n, 3)`."""
     mean, pixels = linear.mean(axis=0), linear_srgb_to_lab(linear)
+    # CIELAB of the mean colour, then spread (d sd = mean of deviation times its change, over sd), then hue.
     of_mean = lab_derivatives(mean) @ derivatives.mean(axis=1).T
     of_pixels = np.einsum("nij,pnj->pni", lab_derivatives(linear), derivatives)
     deviation, sd = pixels - pixels.mean(axis=0), np.maximum(pixels.std(axis=0), _MIN_SD)

@@ -213,6 +213,7 @@ def contents_at_moved_states(knots: Array, contents: Array, moved: Array) -> Arr
     smooth = _moving_average(knots, contents, knots)
     # A ratio, because subtracting a difference could give values below 0 near the zeros of a path.
     ratio = np.divide(contents, smooth, out=np.ones_like(smooth), where=smooth > 0.0)
+    # A bump with a continuous slope: 1 where nothing moves, 0 from a radius on.
     distance = np.clip((moved - knots) / SMOOTHING_RADIUS, -1.0, 1.0)
     weight = (1.0 - distance**2) ** 2
     return np.asarray(_moving_average(knots, contents, moved) * (1.0 + weight[:, None] * (ratio - 1.0)))
@@ -226,6 +227,7 @@ def _moving_average(knots: Array, contents: Array, at: Array) -> Array:
 
 def _integral(knots: Array, contents: Array, to: Array) -> Array:
     """`(n, c)` integrals of the piecewise linear path from state 0; it is constant beyond its ends."""
+    # Trapezoids up to each knot, then the part within a segment, then what is beyond the ends.
     steps = np.diff(knots)[:, None]
     slopes = np.diff(contents, axis=0) / steps
     areas = 0.5 * (contents[1:] + contents[:-1]) * steps

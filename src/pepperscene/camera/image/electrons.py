@@ -144,6 +144,7 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating
     result = image if is_single else np.empty_like(image)
     for channel in range(image.shape[-1]):
         plane = np.maximum(image[..., channel], image.dtype.type(0.0))
+        # Diffraction and scatter, with the image mirrored at its borders.
         spread = _multiply_frequencies(plane, transfer)
         np.maximum(spread, 0.0, out=spread)
         if stray.ghosts:
@@ -218,6 +219,7 @@ def point_spread(
         return np.asarray(direct * np.interp(np.pi * cutoff * radius_m, v, airy) + stray.scatter * scattered)
 
     # Near pixels: their light, averaged over the places of the point in its pixel.
+    # The light in a pixel is a difference of four quadrants' light, signed by the side of the point.
     near = slice(min(_NEAR, shape[0]) + 1), slice(min(_NEAR, shape[1]) + 1)
     places, weights = np.polynomial.legendre.leggauss(_PLACES)
     rows, columns = ((np.arange(part.stop + 1) - 0.5 - places[:, None] / 2) * pitch_m for part in near)

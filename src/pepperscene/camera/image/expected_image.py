@@ -75,6 +75,7 @@ def _photosites(electrons: Floats, sensor: Sensor, developing: Developing) -> tu
     inside = 1 - chance_below - chance_above
     density_below, density_above = _density(below), _density(above)
     above = np.minimum(above, np.float32(1e6))  # finite, so that products with a chance of 0 are 0
+    # First and second moment of the clipped deviate: at its ends, and between them by parts.
     offset = below * chance_below + above * chance_above + density_below - density_above
     square = below**2 * chance_below + above**2 * chance_above + inside
     square += below * density_below - above * density_above

@@ -72,6 +72,7 @@ class DistortionModel(ABC):
         with np.errstate(all="ignore"):  # a diverging point becomes nan or inf and is reported below
             ideal = self._first_guess(target)
             for _ in range(_NEWTON_STEPS):
+                # Solve the 2 x 2 system of the symmetric Jacobian by Cramer's rule, for all points at once.
                 dx, dy = np.moveaxis(self.distort(ideal) - target, -1, 0)
                 xx, xy, yy = self._jacobian(ideal)
                 det = xx * yy - xy * xy
@@ -79,6 +80,7 @@ class DistortionModel(ABC):
                 ideal -= step
                 if not np.abs(step).max(initial=0.0) > _TOLERANCE * 1e-2:
                     break
+            # A root beyond the fold has the right image and is the wrong ray.
             error = np.abs(self.distort(ideal) - target).max(axis=-1)
             unfolded = (self.area_scale(ideal) > 0) & (
                 np.hypot(ideal[..., 0], ideal[..., 1]) < self.fold_radius

@@ -243,6 +243,7 @@ class SmoothCurve:
 
     def parameter_at(self, arc_length_m: Array) -> Array:
         """Parameter `(n,)` at arc lengths `(n,)` from the start; Newton's method, kept inside a bracket."""
+        # Start from the part of the table that holds the length, linearly between its ends.
         goal = np.clip(arc_length_m, 0.0, self.length_m)
         part = np.clip(np.searchsorted(self.lengths, goal, side="right") - 1, 0, len(self.nodes) - 2)
         start, low, high = self.nodes[part], self.nodes[part], self.nodes[part + 1]
@@ -253,6 +254,7 @@ class SmoothCurve:
             error = _arc_length(self.spline, start, parameter) - rest
             if np.abs(error).max() <= 1e-13 * self.length_m:
                 break
+            # Narrow the bracket by the sign of the error; halve it where Newton's step would leave it.
             low, high = np.where(error < 0, parameter, low), np.where(error > 0, parameter, high)
             step = parameter - error / np.linalg.norm(self.spline(parameter, 1), axis=-1)
             parameter = np.where((step >= low) & (step <= high), step, (low + high) / 2)

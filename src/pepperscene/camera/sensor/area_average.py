@@ -61,6 +61,8 @@ class AreaAverage:
         return spread[0] if len(spread) == 1 else np.concatenate(spread, axis=1 - axis)
 
     def _spread(self, pixels: NDArray[np.floating], axis: int) -> Floats:
+        # A photosite's light: of each pixel its value times the overlap, and its slope times the overlap's
+        # moment about the pixel's middle; over the whole pixel the latter is 0, which keeps its light.
         overlaps, moments = _overlaps(self).T.tocsr(), _moments(self).T.tocsr()
         covered = np.asarray(overlaps.sum(axis=1)).reshape(-1)
         # A photosite outside the image has no pixel, and takes that of its neighbour.

@@ -151,6 +151,7 @@ def _refined(disparity: Floats, left: Bytes, right: Bytes, window_px: int) -> Fl
             cv2.remap(image, columns - found, rows, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
             for image in (second, slope)
         )
+        # Normal equations of a shift that is constant in the window; holes have no weight.
         gradient *= known
         weights = cv2.boxFilter(gradient * gradient, -1, window)
         sums = cv2.boxFilter(gradient * (gradient * found - (first - shifted)), -1, window)

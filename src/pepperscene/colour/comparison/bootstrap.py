@@ -137,6 +137,7 @@ def confidence_interval(values: Floats) -> tuple[float, float] | None:
     finite = replicates[np.isfinite(replicates)]
     if not np.isfinite(value) or finite.size < 0.9 * replicates.size:
         return None
+    # How far the measure is from the replicates' median shifts both percentiles by twice that deviate.
     below = np.count_nonzero(finite < value) + np.count_nonzero(finite == value) / 2.0
     bias = ndtri(np.clip(below / finite.size, 0.5 / finite.size, 1.0 - 0.5 / finite.size))
     probabilities = ndtr(2.0 * bias + ndtri(np.array([0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0])))
