@@ -17,7 +17,7 @@ _KEYS: Final = {
     "first_spread": "one_spread",
     "second_spread": "other_spread",
 }
-"""Keys of `FORMAT` for attributes of other names; a set of its own there is "one" or "other"."""
+"""Keys of the JSON format that differ from attributes: it calls the two sets "one" and "other"."""
 
 
 @dataclass(frozen=True)
