@@ -36,8 +36,7 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.tuning.observables import hue_vectors, lab_derivatives, observables
 from pepperscene.tuning.problem import FitProblem, Observation
-from pepperscene.tuning.simulated import simulate_patches
-from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.target import TuningTarget, simulate_patches
 from pepperscene.tuning.view_model import VIEW_QUALITY, ParameterStep, ViewModel
 
 if TYPE_CHECKING:

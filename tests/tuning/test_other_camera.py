@@ -27,8 +27,7 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.spectra import read_spectrum
 from pepperscene.tuning import least_squares
-from pepperscene.tuning.simulated import photograph, simulate_patches
-from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.target import TuningTarget, photograph, simulate_patches
 from pepperscene.tuning.views import with_surfaces
 
 PIGMENTS = ("leaf.chlorophyll", "fruit.chlorophyll", "fruit.carotenoid", "stem.chlorophyll")

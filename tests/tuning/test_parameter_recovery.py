@@ -4,7 +4,7 @@ Rationale: the truth of simulated patches is known, so fitted values can be comp
 stated errors with true errors.
 
 Set-up: five parameters of a recipe are drawn at random, and their values from the priors. Patches of its
-organs are rendered at these values like images (see `pepperscene.tuning.simulated`). The fit starts from the
+organs are rendered at these values like images (see `simulate_patches`). The fit starts from the
 recipe's values. Simulation and fit share the organs, and no random number of light and noise.
 
 Expected: the median relative error of the entries is below 5 %, all patches are matched to less than one
@@ -25,8 +25,7 @@ from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.tuning.diagnostics import is_consistent
 from pepperscene.tuning.parameters import select_parameters
-from pepperscene.tuning.simulated import simulate_patches
-from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.target import TuningTarget, simulate_patches
 
 DRAWS = 20
 SIGNIFICANCE = 1e-4
