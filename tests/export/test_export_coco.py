@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from label_set import box_of
 from painted_set import FRAMES, WIRE
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.store.images import read_image
 from pepperscene.export import export_dataset
 from pepperscene.export.coco import segment_run_lengths
-from pepperscene.truth.encodings import decode_rle
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 
@@ -53,11 +53,6 @@ def organ_entries(dataset, index):
     return {int(value): entry for value, entry in entries if entry["class"] and entry["plant"] >= 0}
 
 
-def bounds(mask):
-    rows, columns = np.nonzero(mask)
-    return [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
-
-
 def test_every_organ_has_its_mask_and_attributes(painted, out, truth):
     assert sorted(truth.imgs) == list(FRAMES[:4])
     assert {category["id"]: category["name"] for category in truth.cats.values()} == {
@@ -80,7 +75,7 @@ def test_every_organ_has_its_mask_and_attributes(painted, out, truth):
             assert thing["category_id"] == entry["class"]
             assert all(attributes[key] == entry[key] for key in ("kind", "plant", "phytomer"))
             assert thing["area"] == mask.sum() == mask_tools.area(thing["segmentation"])
-            assert thing["bbox"] == bounds(mask)
+            assert thing["bbox"] == box_of(mask)
 
 
 def test_parent_is_the_annotation_of_the_parent_organ(painted, truth):
@@ -115,10 +110,10 @@ def test_annotation_ids_are_unique_in_all_splits_and_positive(out):
     assert {tuple(sorted(part.imgs)) for part in parts} == {FRAMES[:4], FRAMES[4:]}
 
 
-def average_precision(truth, predictions, kind):
+def average_precision(truth, predictions):
     """Precisions of all classes, overlaps from .5 to .95, and recalls."""
     with contextlib.redirect_stdout(io.StringIO()):
-        evaluation = COCOeval(truth, truth.loadRes(predictions), kind)
+        evaluation = COCOeval(truth, truth.loadRes(predictions), "segm")
         # Images contain more than the default limit of 100 organs of a class.
         evaluation.params.maxDets = [1, 100, 1000]
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0, 1e10]], ["all"]
@@ -134,51 +129,20 @@ def predictions_of(truth, crowd):
     return [{**{key: annotation[key] for key in keys}, "score": 0.9} for annotation in annotations]
 
 
-@pytest.mark.parametrize("kind", ["segm", "bbox"])
-def test_average_precision_of_perfect_and_damaged_predictions(truth, kind):
+def test_average_precision_of_perfect_and_damaged_predictions(truth):
     predictions = predictions_of(truth, crowd=False)
     # A precision is a / (a + 2e-16): 1, or the number before it.
-    assert average_precision(truth, predictions, kind) == pytest.approx(1, abs=1e-15)
-    assert average_precision(truth, predictions[::2], kind).mean() < 0.8
+    assert average_precision(truth, predictions) == pytest.approx(1, abs=1e-15)
+    assert average_precision(truth, predictions[::2]).mean() < 0.8
     for prediction in predictions:
         mask = np.roll(mask_tools.decode(prediction["segmentation"]), 3, axis=1)
         prediction["segmentation"] = mask_tools.encode(np.asfortranarray(mask))
-        prediction["bbox"] = [prediction["bbox"][0] + 3, *prediction["bbox"][1:]]
-    assert average_precision(truth, predictions, kind).mean() < 0.8
+    assert average_precision(truth, predictions).mean() < 0.8
 
 
 def test_predictions_of_the_crowd_are_ignored(truth):
     predictions = predictions_of(truth, crowd=False) + predictions_of(truth, crowd=True)
-    assert average_precision(truth, predictions, "segm") == pytest.approx(1, abs=1e-15)
-
-
-def test_fruit_have_amodal_masks_and_cut_points(painted, truth):
-    assert truth.cats[int(OrganClass.PEPPER)]["keypoints"] == ["cut", "stalk", "blossom_end"]
-    flags = {0: 0, 1: 0, 2: 0}
-    for index in truth.imgs:
-        fruit = {entry["instance"]: entry for entry in painted.image(index, "harvest")["fruit"]}
-        annotations = [one for one in truth.imgToAnns[index] if one["category_id"] == OrganClass.PEPPER]
-        assert sorted(annotation["attributes"]["instance"] for annotation in annotations) == sorted(fruit)
-        for annotation in annotations:
-            attributes = annotation["attributes"]
-            entry = fruit[attributes["instance"]]
-            amodal = mask_tools.decode(attributes["amodal"]["segmentation"]).astype(bool)
-            assert (amodal == decode_rle(entry["amodal"])).all()
-            assert amodal.sum() == attributes["amodal"]["area"] == entry["amodal_pixels"]
-            assert (truth.annToMask(annotation).astype(bool) <= amodal).all()
-            fraction = annotation["area"] / attributes["amodal"]["area"]
-            assert fraction == pytest.approx(attributes["visible_fraction"])
-            x, y, flag = annotation["keypoints"][:3]
-            flags[flag] += 1
-            cut = (entry["peduncle"] or {}).get("cut")
-            if flag:
-                assert [x + 0.5, y + 0.5] == pytest.approx(cut["px"], abs=0.006)
-                assert (flag == 2) == cut["visible"]
-            else:
-                assert [x, y] == [0, 0]
-                assert cut is None or cut["px"] is None
-    assert all(flags.values())
-    assert all("keypoints" not in one for one in truth.anns.values() if one["category_id"] != 2)
+    assert average_precision(truth, predictions) == pytest.approx(1, abs=1e-15)
 
 
 def test_without_harvest_there_are_no_keypoints(painted, tmp_path):
@@ -249,7 +213,7 @@ def test_every_pixel_belongs_to_a_described_segment(painted, out, panoptic):
         assert (np.vectorize(category_of.get)(ids) == painted.image(index, "class")).all()
         instance = painted.image(index, "instance")
         for info in infos:
-            assert info["bbox"] == bounds(ids == info["id"])
+            assert info["bbox"] == box_of(ids == info["id"])
             if info["id"] < REST:
                 assert not info["iscrowd"]
                 assert ((ids == info["id"]) == (instance == info["id"])).all()

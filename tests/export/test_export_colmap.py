@@ -25,7 +25,6 @@ from pepperscene.camera import read_poses
 from pepperscene.export import export_dataset
 
 LARGEST_PX = 0.001
-FAULT_PX = 0.1
 MODELS = {
     "pinhole": "PINHOLE", "brown": "OPENCV", "brown_k3": "FULL_OPENCV", "rational": "FULL_OPENCV",
     "fisheye": "OPENCV_FISHEYE",
@@ -64,23 +63,6 @@ def test_points_project_to_their_pixels(lens, traced, tmp_path):
         pixels, points = visible_pixels(dataset, index)
         assert len(points) == 1000
         assert reprojection_error(pose, model.cameras[camera], pixels, points) < LARGEST_PX
-
-
-@pytest.mark.parametrize("lens", ["brown", "fisheye"])
-def test_faults_are_found(lens, traced, tmp_path):
-    dataset = traced(lens)
-    model = Model(export_dataset(dataset.folder, "colmap", tmp_path / "out").folder)
-    pixels, points = visible_pixels(dataset, 1)
-    pose, number, _, _ = model.images[2]
-    camera = model.cameras[number]
-    assert reprojection_error(pose, camera, pixels, points) < LARGEST_PX
-    conjugate = np.concatenate([pose[:1], -pose[1:4], centre_of(pose)])  # camera to world
-    flipped = np.concatenate([[-pose[1], pose[0], -pose[3], pose[2]], pose[4:] * [1, -1, -1]])  # OpenGL
-    for fault in (conjugate, flipped, model.images[3][0], pose * [1, 1, 1, 1, 1.01, 1.01, 1.01]):
-        assert reprojection_error(fault, camera, pixels, points) > FAULT_PX
-    as_opencv = [*camera[3][:2], camera[3][2] - 0.5, camera[3][3] - 0.5, *camera[3][4:]]
-    for parameters in (as_opencv, [*camera[3][:4], 0.0, *camera[3][5:]]):
-        assert reprojection_error(pose, (*camera[:3], parameters), pixels, points) > FAULT_PX
 
 
 @pytest.mark.parametrize("lens", ["brown", "fisheye"])

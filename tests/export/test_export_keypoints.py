@@ -16,7 +16,6 @@ from label_set import (
     NAMES,
     POINTS,
     box_of,
-    edit_json,
     expected_objects,
     expected_points,
     export,
@@ -27,7 +26,6 @@ from label_set import (
 from painted_set import SIZE
 
 from pepperscene.dataset.store.images import read_image
-from pepperscene.errors import InputError
 
 pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 yaml = pytest.importorskip("yaml", reason="a reader of YAML")
@@ -108,19 +106,6 @@ def test_pycocotools_evaluates_the_keypoints(labels, tmp_path):
     assert precision(detections) < 0.5
 
 
-def mirror_keypoint(content):
-    """Mirror one keypoint left to right."""
-    one = next(one for one in content["annotations"] if one.get("num_keypoints") == 3)
-    one["keypoints"][3] = SIZE[1] - 1 - one["keypoints"][3]
-
-
-def test_mirrored_keypoint_of_coco_is_found(labels, tmp_path):
-    folder = export(labels, "coco", tmp_path / "out", classes=MAPPING)
-    edit_json(folder / "annotations" / "instances_train.json", mirror_keypoint)
-    with pytest.raises(AssertionError, match="a keypoint is elsewhere"):
-        check_coco(labels, load_coco(folder))
-
-
 def check_yolo(dataset, folder, kpt_shape=None, smallest_px=1):
     """Each line is an object with its class and its box, and with its keypoints if the format has them."""
     data = yaml.safe_load((folder / "data.yaml").read_text())
@@ -168,68 +153,7 @@ def test_pose_is_of_fruit_by_default(labels, tmp_path):
     assert yaml.safe_load((folder / "data.yaml").read_text())["names"] == {0: "pepper"}
 
 
-def change_line(folder, change):
-    """Change the numbers of the first line with three visible or hidden keypoints, or the first line."""
-    path = folder / "labels" / "train" / f"{FRAMES[0]:06d}.txt"
-    lines = [line.split() for line in path.read_text().splitlines()]
-    change(next((line for line in lines if len(line) == 14 and "0" not in line[7::3]), lines[0]))
-    path.write_text("".join(" ".join(line) + "\n" for line in lines))
-
-
-def move_box(line):
-    line[1] = f"{float(line[1]) + 1 / SIZE[1]:.6f}"
-
-
-def swap_class(line):
-    line[0] = str((int(line[0]) + 1) % len(NAMES))
-
-
-def mirror_point(line):
-    line[5] = f"{1 - float(line[5]):.6f}"
-
-
-@pytest.mark.parametrize(
-    ("fault", "message"),
-    [(move_box, "the box of"), (swap_class, "the class of"), (mirror_point, "a keypoint of")],
-)
-def test_planted_faults_of_yolo_are_found(fault, message, labels, tmp_path):
-    folder = export(labels, "yolo_pose", tmp_path / "out", classes=MAPPING, smallest_px=1)
-    change_line(folder, fault)
-    with pytest.raises(AssertionError, match=message):
-        check_yolo(labels, folder, [3, 3])
-
-
 def test_words_of_yaml_stay_names(labels, tmp_path):
     folder = export(labels, "yolo_detect", tmp_path / "out", classes="no=leaf,null=stem,y=pepper")
     data = yaml.safe_load((folder / "data.yaml").read_text())
     assert data["names"] == {0: "no", 1: "null", 2: "y"}
-
-
-def test_sets_from_before_the_ends_were_recorded_have_cut_points(labels, copied, tmp_path):
-    import hashlib
-    import json
-
-    dataset = copied(labels)
-    path = dataset.folder / "harvest" / f"{FRAMES[0]:06d}.json"
-
-    def remove_ends(content):
-        for fruit in content["fruit"]:
-            del fruit["stalk_end"], fruit["blossom_end"], fruit["box_3d"]
-
-    edit_json(path, remove_ends)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    frame = dataset.frame_path(FRAMES[0])
-    edit_json(frame, lambda content: content["outputs"]["harvest"].update(sha256=digest))
-    assert json.loads(path.read_text())["fruit"]
-    truth = load_coco(export(dataset, "coco", tmp_path / "out", classes="pepper", frames="0:1"))
-    flags = np.array([one["keypoints"][2::3] for one in truth.anns.values()])
-    assert flags[:, 0].any()
-    assert not flags[:, 1:].any()
-    assert all("distance_m" not in one.get("attributes", {}) for one in truth.anns.values())
-
-
-def test_pose_needs_the_harvest_truth(labels, copied, tmp_path):
-    dataset = copied(labels)
-    (dataset.folder / "harvest" / f"{FRAMES[1]:06d}.json").unlink()
-    with pytest.raises(InputError, match="no output 'harvest', which the format needs"):
-        export(dataset, "yolo_pose", tmp_path / "out")

@@ -33,7 +33,6 @@ from pepperscene.export import export_dataset
 
 NERFSTUDIO_LENSES = [name for name in LENSES if name != "rational"]
 LARGEST_PX = 0.001
-FAULT_PX = 0.1
 LARGEST_MM = 0.55  # rounding, and single precision
 
 
@@ -81,22 +80,6 @@ def test_points_project_to_their_pixels_and_depths(lens, traced, tmp_path):
         assert len(points) == 1000
         assert reprojection_error(entry, content["camera_model"], pixels, points) < LARGEST_PX
         assert depth_error_mm(entry, tmp_path / "out", pixels, points) < LARGEST_MM
-
-
-@pytest.mark.parametrize("lens", ["brown", "fisheye"])
-def test_faults_are_found(lens, traced, tmp_path):
-    dataset = traced(lens)
-    export_dataset(dataset.folder, "nerfstudio", tmp_path / "out")
-    content = load(tmp_path / "out")
-    entry, model = content["frames"][1], content["camera_model"]
-    pixels, points = visible_pixels(dataset, dataset.indices()[1])
-    matrix = np.array(entry["transform_matrix"])
-    inverted = {**entry, "transform_matrix": np.linalg.inv(matrix)}
-    flipped = {**entry, "transform_matrix": matrix @ np.diag([1, -1, -1, 1])}
-    shifted = {**entry, "cx": entry["cx"] - 0.5}
-    for fault in (inverted, flipped, shifted, content["frames"][2], {**entry, "k1": 0.0}):
-        assert reprojection_error(fault, model, pixels, points) > FAULT_PX
-    assert depth_error_mm(entry, tmp_path / "out", pixels, points, scale=1.01) > 2 * LARGEST_MM
 
 
 def test_images_are_copied_and_the_sky_has_no_depth(traced, tmp_path):

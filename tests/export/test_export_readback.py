@@ -95,6 +95,7 @@ def test_what_is_read_back_is_the_data_set(format_name, rendered, exported):
     check(figures, format_name, len(rendered.indices()))
 
 
+@pytest.mark.long  # it tests the readers of these tests
 @pytest.mark.parametrize(
     ("format_name", "fault"), [(name, fault) for name, faults in FAULTS.items() for fault in faults]
 )
@@ -131,6 +132,7 @@ def change_buffer(name, component, change):
 
 
 @needs_rerun
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("plant", "message"),
     [

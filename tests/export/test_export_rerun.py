@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from rerun_recording import IMAGE, Recording
-from traced_set import FRUIT, HEIGHT, IGNORED, RADIUS_M, SPHERE, WIDTH, colour_of, intersect, make_traced_set
+from traced_set import FRUIT, HEIGHT, IGNORED, WIDTH, colour_of, intersect, make_traced_set
 
 from pepperscene.errors import InputError, SetupError
 from pepperscene.export import export_dataset
@@ -57,20 +57,6 @@ def test_every_pixel_shows_what_the_recorded_pinhole_camera_sees(lens, traced, t
         assert depth_mm < (0.51 if lens == "pinhole" else 2.0)
         assert iou > (0.999 if lens == "pinhole" else 0.95)
         assert codes < 1.5
-
-
-@pytest.mark.parametrize("lens", ["pinhole", "brown"])
-def test_planted_faults_are_found(lens, traced, tmp_path):
-    export_dataset(traced(lens).folder, "rerun", tmp_path / "out")
-    recording = Recording(tmp_path / "out" / RECORDING)
-    matrix, pose = recording.camera(1)
-    _, iou, codes = errors(recording, 1)
-    shift = np.array([[0, 0, 1.0], [0, 0, 0], [0, 0, 0]])
-    faults = [(matrix + shift, pose), (matrix, np.linalg.inv(pose)), (matrix, recording.camera(2)[1])]
-    for fault in faults:
-        _, wrong_iou, wrong_codes = errors(recording, 1, *fault)
-        assert wrong_iou < iou - 0.01
-        assert wrong_codes > codes + 0.5
 
 
 def test_images_of_a_pinhole_camera_are_those_of_the_data_set(traced, tmp_path):
@@ -133,16 +119,3 @@ def test_missing_outputs_and_package_are_one_sentence(tmp_path, monkeypatch):
     with pytest.raises(SetupError, match=r"needs rerun, which is not installed.*pepperscene\[rerun\]"):
         export_dataset(dataset.folder, "rerun", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_the_sphere_is_where_it_is(traced, tmp_path):
-    """Points of the fruit, from depth and camera alone, are on its surface."""
-    export_dataset(traced("brown").folder, "rerun", tmp_path / "out")
-    recording = Recording(tmp_path / "out" / RECORDING)
-    for frame in recording.frames:
-        matrix, pose = recording.camera(frame)
-        rows, columns = np.nonzero(recording.image("classes", frame) == 2)
-        pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=-1)
-        depth = recording.image("depth", frame)[rows, columns] / 1e3
-        points = (pixels @ np.linalg.inv(matrix).T * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3]
-        assert np.median(np.abs(np.linalg.norm(points - SPHERE, axis=1) - RADIUS_M)) < 1e-3

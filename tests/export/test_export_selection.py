@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 
 import numpy as np
@@ -86,42 +84,6 @@ def test_hidden_fruit_is_a_crowd_in_coco_and_left_out_in_yolo(painted, tmp_path)
     assert hidden_pixels > 0
 
 
-@pytest.mark.parametrize(("ripe_from", "name"), [(0.5, "ripe pepper"), (0.51, "unripe pepper")])
-def test_fruit_is_ripe_from_the_given_ripeness(painted, tmp_path, ripe_from, name):
-    # All painted fruit has the ripeness 0.5.
-    _, content = coco_of(painted, tmp_path / "coco", ripe_from=ripe_from)
-    names = {one["id"]: one["name"] for one in content["categories"]}
-    assert len(names) == len(OrganClass)
-    fruit = [one for one in content["annotations"] if "pepper" in names[one["category_id"]]]
-    assert {names[one["category_id"]] for one in fruit} == {name}
-    for one in content["categories"]:
-        assert ("keypoints" in one) == ("pepper" in one["name"])
-    lines, yolo_names = yolo_of(painted, tmp_path / "yolo", ripe_from=ripe_from, classes="pepper")
-    assert yolo_names == ["ripe pepper", "unripe pepper"]
-    numbers = {line.split()[0] for texts in lines.values() for line in texts}
-    assert numbers == {str(yolo_names.index(name))}
-
-
-@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-def test_fruit_of_unknown_ripeness_is_a_crowd_of_both_categories(painted, tmp_path):
-    from pycocotools.coco import COCO
-
-    # Half of the fruit is below the smallest size: the rest of the class.
-    out, _ = coco_of(painted, tmp_path / "coco", ripe_from=0.5, smallest_px=400)
-    with contextlib.redirect_stdout(io.StringIO()):
-        truth = COCO(out / "annotations" / "instances_train.json")
-    names = {one["id"]: one["name"] for one in truth.cats.values()}
-    for index in truth.imgs:
-        crowds = [one for one in truth.imgToAnns[index] if one["iscrowd"]]
-        fruit = {names[one["category_id"]]: one for one in crowds if "pepper" in names[one["category_id"]]}
-        assert set(fruit) == {"ripe pepper", "unripe pepper"}
-        masks = [truth.annToMask(one) for one in fruit.values()]
-        np.testing.assert_array_equal(*masks)
-        small = [v for v, one in organs(painted, index, OrganClass.PEPPER).items() if one["pixels"] < 400]
-        np.testing.assert_array_equal(masks[0] > 0, np.isin(painted.image(index, "instance"), small))
-    assert len({one["id"] for one in truth.dataset["annotations"]}) == len(truth.dataset["annotations"])
-
-
 @pytest.mark.parametrize(
     ("format_name", "classes", "greenhouse", "is_warned"),
     [
@@ -144,8 +106,6 @@ def test_yolo_warns_of_far_fruit_of_unknown_ripeness(format_name, classes, green
     ("options", "message"),
     [
         ({"classes": "fruit"}, "'fruit' is none of leaf, pepper"),
-        ({"classes": "background"}, "'background' is none of leaf"),
-        ({"classes": "leaf,leaf"}, "leaf is named twice"),
         ({"least_visible": 1.5}, "least_visible: 1.5 must be 0 to 1"),
         ({"ripe_from": -0.1}, "ripe_from: -0.1 must be 0 to 1"),
     ],
@@ -154,12 +114,6 @@ def test_wrong_choices_are_refused_and_write_nothing(painted, tmp_path, options,
     with pytest.raises(ArgumentError, match=message):
         export_dataset(painted.folder, "coco", tmp_path / "out", **options)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("options", [{"classes": "leaf"}, {"ripe_from": 0.5}, {"least_visible": 0.5}])
-def test_formats_without_objects_refuse_choices(painted, tmp_path, options):
-    with pytest.raises(ArgumentError, match="does not apply: published has no objects"):
-        export_dataset(painted.folder, "published", tmp_path / "out", **options)
 
 
 def test_ripeness_needs_the_harvest_truth(tmp_path):
@@ -196,8 +150,3 @@ def test_the_crop_has_the_name_of_its_species(cultivar, name):
 )
 def test_varied_cultivars_name_all_crops(recipe, name):
     assert crop_name({"recipe": {"cultivar": "kaite", **recipe}}) == name
-
-
-def test_supercategory_is_the_crop(painted, tmp_path):
-    _, content = coco_of(painted, tmp_path / "coco")
-    assert {one["supercategory"] for one in content["categories"]} == {"sweet pepper"}
