@@ -14,6 +14,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.dataset import MARK
 from pepperscene.export.columns import (
@@ -127,7 +129,25 @@ def _card_text(info: Mapping[str, Any], columns: Sequence[Column], splits: Mappi
     title = f"{info['recipe']['name']}: rendered sweet-pepper plants"
     front = card_front_matter(title, columns, splits)
     lines = [f"{key}: {_yaml_value(value)}" for key, value in front.items()]
-    return "\n".join(["---", *lines, "---", "", *_card_page(title, info, columns, splits), ""])
+    # Only texts of users need escapes: in Markdown those of HTML would be shown.
+    environment = Environment(
+        loader=PackageLoader("pepperscene.export"),
+        autoescape=False,
+        trim_blocks=True,
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
+    )
+    environment.filters["escaped"] = _markdown_text
+    page = environment.get_template("card.md").render(
+        title=title,
+        images=sum(size.frames for size in splits.values()),
+        info=info,
+        recipe=info["recipe"],
+        classes=CLASS_NAMES,
+        columns=columns,
+        splits=splits,
+    )
+    return "\n".join(["---", *lines, "---", "", page])
 
 
 def _yaml_value(value: Any) -> str:
@@ -170,48 +190,3 @@ def card_front_matter(
         },
         "configs": [{"config_name": "default", "data_files": data_files}],
     }
-
-
-def _card_page(
-    title: str, info: Mapping[str, Any], columns: Sequence[Column], splits: Mapping[str, SplitSize]
-) -> list[str]:
-    recipe, plan = info["recipe"], info["recipe"]["plan"]
-    name, cultivar = _markdown_text(recipe["name"]), _markdown_text(recipe["cultivar"])
-    sensor, lens = (_markdown_text(recipe["camera"][part]) for part in ("sensor", "lens"))
-    return [
-        f"# {_markdown_text(title)}",
-        "",
-        f"{sum(size.frames for size in splits.values())} images of sweet-pepper plants (*Capsicum annuum*) in"
-        " a greenhouse row, rendered with exact labels. Every plant is grown from measured proportions, its"
-        " organs have spectral reflectances and transmittances, and the photographs are what the recipe's"
-        " camera records of the light.",
-        "",
-        "| | |",
-        "|---|---|",
-        f"| recipe | {name}, seed {recipe['seed']}, SHA-256 `{info['recipe_sha256']}` |",
-        f"| cultivar | {cultivar} |",
-        f"| camera | {sensor} with {lens} |",
-        f"| plan | {plan['sets']} sets of plants, {plan['rotations']} rows of each,"
-        f" {plan['frames']} steps along the camera's path |",
-        f"| quality | {_markdown_text(info['quality'])} |",
-        f"| made with | pepperscene {_markdown_text(info['version'])} |",
-        *(f"| split `{split}` | {size.frames} images |" for split, size in splits.items()),
-        "",
-        f"Classes: {', '.join(f'{number} {name}' for number, name in enumerate(CLASS_NAMES))}.",
-        "",
-        "| column | meaning |",
-        "|---|---|",
-        *(f"| `{column.name}` | {column.meaning} |" for column in columns),
-        "",
-        "```python",
-        "import numpy as np",
-        "from datasets import load_dataset",
-        "",
-        f'frames = load_dataset("path/to/this/folder", split="{next(iter(splits))}")',
-        'mask = np.asarray(frames[0]["mask"])  # class ids, (h, w) uint8',
-        "```",
-        "",
-        "The whole recipe is in `dataset.json`: the same recipe and version render the same images again."
-        " Classes are those of Barth et al. 2018, *Data synthesis methods for semantic segmentation in"
-        " agriculture: A Capsicum annuum dataset* (doi 10.1016/j.compag.2017.12.001).",
-    ]
