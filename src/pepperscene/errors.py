@@ -72,6 +72,12 @@ class SetupError(PepperError):
     """The system lacks something (a JIT variant, an LLVM library); the message says what to install."""
 
 
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that memory ran out; Dr.Jit and Open Image Denoise raise `RuntimeError`."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or "out of memory" in text or "bad_alloc" in text
+
+
 def short_repr(value: object, limit: int = 80) -> str:
     """The value's `repr`, cut to `limit` characters; no more of it is made, however long the value is."""
     text = ""

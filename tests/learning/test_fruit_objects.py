@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pepperscene.colour.comparison.bootstrap import bootstrap_weights
-from pepperscene.learning.evaluation.objects import (
+from pepperscene.learning.evaluation.measures import (
     ObjectCounts,
     connected_objects,
     count_objects,

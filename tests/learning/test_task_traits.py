@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from pepperscene.cli import app
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
-from pepperscene.learning.tasks.predictions import PredictionFolder
+from pepperscene.learning.tasks.frames import PredictionFolder
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, has_bands, partial_least_squares
 from pepperscene.learning.tasks.trait_task import (
     OrganSamples,

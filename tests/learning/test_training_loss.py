@@ -12,7 +12,7 @@ from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 
-from pepperscene.learning.training.loss import SegmentationLoss, class_weights  # noqa: E402
+from pepperscene.learning.training.loop import SegmentationLoss, class_weights  # noqa: E402
 
 ORGANS = ClassTable.organs()
 FRUIT = ClassTable.parse(FRUIT_CLASSES)

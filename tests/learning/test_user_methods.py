@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from pepperscene.cli import app
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.tasks import depth_task, view_task
-from pepperscene.learning.user_callable import import_callable, user_errors
+from pepperscene.user_code import import_callable, user_errors
 
 MODULE = """
 open({marker!r}, "a").close()

@@ -37,7 +37,7 @@ WORDS = (
 )
 
 NAMED_IMPORTS = {
-    ("learning/user_callable.py", "import_module"): "a name that the user typed, and only if code is allowed",
+    ("user_code.py", "import_module"): "a name that the user typed, and only if code is allowed",
     ("recipe/views/user_function.py", "run_path"): "the file of a recipe, after `ResolvedRecipe.check_code`",
     ("building/subprocess_rpc.py", "import_module"): "a name from the parent process",
     ("export/formats.py", "import_module"): "a value of the table FORMATS",
@@ -54,7 +54,7 @@ PICKLES = {
 """The only modules that read pickles, and where these come from."""
 
 SEARCH_PATHS = {
-    "learning/user_callable.py": "the current folder, during an import that the user has allowed",
+    "user_code.py": "the current folder, during an import that the user has allowed",
     "building/subprocess_rpc.py": "a worker imports from the folders of its parent",
     "__main__.py": "takes the current folder off",
 }

@@ -64,7 +64,7 @@ def readers():
     from pepperscene.dataset.store.images import read_image
     from pepperscene.document import read_toml
     from pepperscene.geometry.fruit.scan_file import read_triangles
-    from pepperscene.learning.tasks.predictions import READERS
+    from pepperscene.learning.tasks.frames import READERS
     from pepperscene.recipe.resolve.load import load_recipe
     from pepperscene.spectra import read_spectra
 

@@ -18,7 +18,7 @@ import psutil
 
 from pepperscene.camera import Camera, DepthCamera
 from pepperscene.camera.sensor.rows import row_strips
-from pepperscene.errors import ArgumentError, InputError, SetupError
+from pepperscene.errors import ArgumentError, InputError, SetupError, is_out_of_memory
 from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, OUTPUTS
 
 MEMORY: Final = "PEPPERSCENE_MEMORY"
@@ -170,12 +170,6 @@ def report_memory_errors() -> Iterator[None]:
             "memory ran out; complete frames are kept: use fewer pixels, fewer outputs or fewer plants, or a "
             "machine with more memory"
         ) from None
-
-
-def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error says that memory ran out; Dr.Jit and Open Image Denoise raise `RuntimeError`."""
-    text = str(error).lower()
-    return isinstance(error, MemoryError) or "out of memory" in text or "bad_alloc" in text
 
 
 def _parse_size(text: str) -> float:

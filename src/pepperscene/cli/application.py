@@ -17,7 +17,14 @@ from pepperscene.cli.interrupts import Interrupted, interruptible
 from pepperscene.cli.options import expand_options
 from pepperscene.cli.progress import echo_progress
 from pepperscene.cli.streams import protect_streams
-from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError, OutputError, PepperError
+from pepperscene.errors import (
+    EXIT_BAD_INPUT,
+    ArgumentError,
+    InputError,
+    OutputError,
+    PepperError,
+    is_out_of_memory,
+)
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
@@ -97,7 +104,7 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
                 echo_progress(f"error: {_describe_system_error(error)}")
                 raise typer.Exit(EXIT_BAD_INPUT) from None
             except (MemoryError, RuntimeError) as error:
-                if not _is_out_of_memory(error):
+                if not is_out_of_memory(error):
                     raise
                 echo_progress("error: memory ran out; use fewer or smaller images, or a larger machine")
                 raise typer.Exit(EXIT_BAD_INPUT) from None
@@ -129,12 +136,6 @@ def _check_current_folder() -> None:
         if os.path.lexists(name):
             problem = f"is in the current folder, where {library} reads settings that can run programs"
             raise InputError(name, f"{problem}; remove it, or change to another folder")
-
-
-def _is_out_of_memory(error: BaseException) -> bool:
-    from pepperscene.building.memory import is_out_of_memory
-
-    return is_out_of_memory(error)
 
 
 def _describe_system_error(error: OSError) -> str:

@@ -77,7 +77,7 @@ class TaskOptions:
 
     def load_methods(self) -> dict[str, Callable[..., Any]]:
         """The functions of the user, by their text."""
-        from pepperscene.learning.user_callable import import_callable
+        from pepperscene.user_code import import_callable
 
         for text in self.method:
             module, _, name = text.partition(":")

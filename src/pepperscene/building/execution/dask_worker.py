@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.building.execution.job import BuildJob, FrameDone, FrameMaker, OnFrame
-from pepperscene.building.memory import is_out_of_memory
 from pepperscene.building.scenes.plants import PROCESSES
 from pepperscene.building.subprocess_rpc import THREADS
-from pepperscene.errors import SetupError, WorkerError
+from pepperscene.errors import SetupError, WorkerError, is_out_of_memory
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:

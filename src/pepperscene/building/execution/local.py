@@ -18,10 +18,10 @@ from typing import Any, Final, Self, final
 
 from pepperscene.building.execution.executor import Dispatcher, Executor
 from pepperscene.building.execution.job import BuildJob, FrameDone, FrameMaker
-from pepperscene.building.memory import is_out_of_memory, report_memory_errors
+from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.plants import PROCESSES
 from pepperscene.building.subprocess_rpc import Connection, WorkerProcess, available_cores
-from pepperscene.errors import PepperError, WorkerError
+from pepperscene.errors import PepperError, WorkerError, is_out_of_memory
 
 MAX_WORKERS: Final = 1024  # chosen: more than a machine has cores
 

@@ -14,9 +14,14 @@ from pepperscene.colour.comparison.bootstrap import bootstrap_weights
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.confusion import confusion_matrix, measure_classes
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, EvaluatedSet, Evaluation
-from pepperscene.learning.evaluation.objects import ObjectCounts, count_objects, measure_objects
+from pepperscene.learning.evaluation.measures import (
+    ObjectCounts,
+    confusion_matrix,
+    count_objects,
+    measure_classes,
+    measure_objects,
+)
 from pepperscene.learning.models.trained_model import TrainedModel
 from pepperscene.review.report.data import evenly_spaced
 

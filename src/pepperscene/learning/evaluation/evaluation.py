@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES, Estimate
 from pepperscene.colour.comparison.tables import UNKNOWN, TextTable, format_estimate, format_tables
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.confusion import ClassMeasures, mean_intersection_over_union
-from pepperscene.learning.evaluation.objects import LEAST_IOU, SMALLEST_PX, ObjectCounts, ObjectMeasures
+from pepperscene.learning.evaluation.measures import (
+    LEAST_IOU,
+    SMALLEST_PX,
+    ClassMeasures,
+    ObjectCounts,
+    ObjectMeasures,
+    mean_intersection_over_union,
+)
 
 FORMAT: Final = "pepperscene evaluation 1"
 

@@ -16,7 +16,7 @@ from pepperscene.colour.comparison.bootstrap import (
     bootstrap_weights,
     estimate_values,
 )
-from pepperscene.learning.evaluation.confusion import (
+from pepperscene.learning.evaluation.measures import (
     ABSENT,
     intersection_over_union,
     mean_intersection_over_union,

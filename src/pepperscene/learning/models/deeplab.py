@@ -16,7 +16,7 @@ from torch import nn
 from torch.nn import functional
 
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.learning.models.layers import check_width
+from pepperscene.learning.models.small import check_width
 from pepperscene.user_files import check_file
 
 _BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))

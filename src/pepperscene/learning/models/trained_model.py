@@ -20,7 +20,7 @@ from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.models.registry import build_model, without_initial_weights
 from pepperscene.learning.options import LEAST_SIDE, MODELS, MOST_SIDE, is_built_in
-from pepperscene.learning.user_callable import user_errors
+from pepperscene.user_code import user_errors
 from pepperscene.user_files import check_file
 from pepperscene.version import __version__
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.tasks.depth_baselines import BASELINES, DepthMethod
-from pepperscene.learning.tasks.frames import TaskSplit, count_frames, open_task_frames
-from pepperscene.learning.tasks.predictions import PredictionFolder
+from pepperscene.learning.tasks.frames import PredictionFolder, TaskSplit, count_frames, open_task_frames
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
-from pepperscene.learning.user_callable import user_errors
+from pepperscene.user_code import user_errors
 
 DEPTH_OUTPUTS: Final = ("colour", "instance", "depth_z", "depth_sensor")
 """Outputs that the frames of a data set must have."""

@@ -14,15 +14,20 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.confusion import (
+from pepperscene.learning.evaluation.evaluate import predict_classes
+from pepperscene.learning.evaluation.measures import (
     confusion_matrix,
     intersection_over_union,
     mean_intersection_over_union,
 )
-from pepperscene.learning.evaluation.evaluate import predict_classes
 from pepperscene.learning.options import TrainingOptions
-from pepperscene.learning.tasks.frames import TaskFrames, TaskSplit, count_frames, open_task_frames
-from pepperscene.learning.tasks.predictions import PredictionFolder
+from pepperscene.learning.tasks.frames import (
+    PredictionFolder,
+    TaskFrames,
+    TaskSplit,
+    count_frames,
+    open_task_frames,
+)
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 
 if TYPE_CHECKING:

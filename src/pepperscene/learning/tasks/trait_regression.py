@@ -9,11 +9,11 @@ Lab. Syst. 58:109).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
-from importlib import import_module
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,8 +76,10 @@ def best_index(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Pre
 
 def ridge(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Predictor:
     """Linear regression on all standardised bands, with a small penalty on the squares of the slopes."""
-    preprocessing, linear = (_scikit_learn(name) for name in ("preprocessing", "linear_model"))
-    scaler, model = preprocessing.StandardScaler(), linear.Ridge(_RIDGE * len(trait))
+    with _scikit_learn():
+        from sklearn.linear_model import Ridge
+        from sklearn.preprocessing import StandardScaler
+    scaler, model = StandardScaler(), Ridge(_RIDGE * len(trait))
     model.fit(scaler.fit_transform(reflectance), trait)
     return lambda samples: np.asarray(model.predict(scaler.transform(samples)))
 
@@ -86,10 +88,12 @@ def partial_least_squares(
     reflectance: FloatArray, trait: FloatArray, _: FloatArray, components: int = _COMPONENTS
 ) -> Predictor:
     """Partial least squares on standardised bands: each component is the direction of largest covariance."""
+    with _scikit_learn():
+        from sklearn.cross_decomposition import PLSRegression
     # Components beyond the rank of the bands would fit rounding errors.
     singular = np.linalg.svd(reflectance - reflectance.mean(axis=0), compute_uv=False)
     rank = max(1, int(np.count_nonzero(singular > _ROUNDING * singular[0])))
-    model = _scikit_learn("cross_decomposition").PLSRegression(min(components, rank))
+    model = PLSRegression(min(components, rank))
     with warnings.catch_warnings():
         # Fewer components can explain all of the training.
         warnings.filterwarnings("ignore", "y residual is constant")
@@ -150,10 +154,11 @@ def _correlation(index: FloatArray, trait: FloatArray) -> float:
     return float(a @ b) ** 2 / size if size > 0 else 0.0
 
 
-def _scikit_learn(module: str) -> Any:
-    """A module of scikit-learn; raises `SetupError` if it is not installed."""
+@contextmanager
+def _scikit_learn() -> Iterator[None]:
+    """Raise `SetupError` if scikit-learn is not installed."""
     try:
-        return import_module(f"sklearn.{module}")
+        yield
     except ImportError:
         problem = "scikit-learn is not installed, which this baseline needs"
         raise SetupError(f"{problem}; install it with `pip install 'pepperscene[learn]'`") from None

@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.learning.tasks.frames import TEST, TRAIN, TaskFrames, count_frames, open_task_frames
-from pepperscene.learning.tasks.predictions import PredictionFolder
+from pepperscene.learning.tasks.frames import (
+    TEST,
+    TRAIN,
+    PredictionFolder,
+    TaskFrames,
+    count_frames,
+    open_task_frames,
+)
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, Regression, has_bands
 

@@ -22,10 +22,10 @@ from pepperscene.learning.tasks.view_planners import (
     random_planner,
 )
 from pepperscene.learning.tasks.view_scenes import ViewScene, ViewTask, covered_fraction, view_scenes
-from pepperscene.learning.user_callable import user_errors
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
+from pepperscene.user_code import user_errors
 
 FloatArray = NDArray[np.float64]
 

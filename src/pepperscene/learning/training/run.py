@@ -68,8 +68,7 @@ def train(
         SetupError: torch is not installed.
     """
     require_torch()
-    from pepperscene.learning.training.loop import TrainingLoop, seeded
-    from pepperscene.learning.training.loss import class_weights
+    from pepperscene.learning.training.loop import TrainingLoop, class_weights, seeded
 
     chosen, folder = options or TrainingOptions(), Path(out)
     sets, validation = _as_tuple(sets), _as_tuple(validation)

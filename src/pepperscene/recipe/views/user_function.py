@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 import copy
 import dataclasses
 import runpy
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +21,7 @@ from pepperscene.document import read_text
 from pepperscene.errors import InputError
 from pepperscene.recipe.views_tables import FunctionViews
 from pepperscene.shipped import is_file
+from pepperscene.user_code import user_errors
 
 if TYPE_CHECKING:
     from pepperscene.scene import Scene
@@ -43,7 +42,7 @@ def function_poses(
         InputError: the file has no such function, or it fails or returns something else.
     """
     function = _load(table.file, table.function, atomic.digest(Path(table.file), "text"))
-    with _users_code(table.file, table.function):
+    with user_errors(table.file, key=table.function):
         poses = np.array(function(read_only(scene), rng), dtype=float)
     if poses.shape != (frames, 4, 4) or not np.isfinite(poses).all():
         problem = f"must return finite poses of the shape ({frames}, 4, 4), not {poses.shape}"
@@ -110,30 +109,11 @@ def check_definition(table: FunctionViews, where: str | Path) -> None:
 @lru_cache(maxsize=8)
 def _load(file: str, name: str, _content: str) -> Any:
     """The function of a file with this content."""
-    with _users_code(file):
+    with user_errors(file):
         function = runpy.run_path(file).get(name)
     if not callable(function):
         raise InputError(file, "must define this function", key=name)
     return function
-
-
-@contextlib.contextmanager
-def _users_code(file: str, key: str = "") -> Iterator[None]:
-    """Turn every exception of a user's code into one `InputError`, and send what it prints to standard error.
-
-    Standard output may be read by a program, as with `--json`.
-    """
-    try:
-        with contextlib.redirect_stdout(sys.stderr):
-            yield
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise InputError(file, _failure(error), key=key) from error
-
-
-def _failure(error: BaseException) -> str:
-    return f"failed with {': '.join(part for part in (type(error).__name__, _line(error)) if part)}"
 
 
 def _line(error: BaseException) -> str:

@@ -6,10 +6,10 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
-from pepperscene.errors import NEEDS_PERMISSION, ArgumentError, InputError, PepperError
+from pepperscene.errors import NEEDS_PERMISSION, ArgumentError, InputError, PepperError, is_out_of_memory
 
 
 def import_callable(path: str, argument: str, *, allow_code: bool) -> Callable[..., Any]:
@@ -45,20 +45,22 @@ def import_callable(path: str, argument: str, *, allow_code: bool) -> Callable[.
 
 
 @contextmanager
-def user_errors(where: str, argument: str = "") -> Iterator[None]:
+def user_errors(where: str, argument: str = "", *, key: str = "") -> Iterator[None]:
     """Turn whatever a function of the user's raises into one sentence, except Ctrl-C and a lack of memory.
 
+    What it prints is sent to standard error, because a program may read standard output, as with `--json`.
+
     Args:
-        where: name of the function.
+        where: name of the function or of its file.
         argument: that it is the value of, if there is one.
+        key: name of the function in the file.
 
     Raises:
         InputError: the function has failed; an `ArgumentError` if there is an argument.
     """
-    from pepperscene.building.memory import is_out_of_memory
-
     try:
-        yield
+        with redirect_stdout(sys.stderr):
+            yield
     except (KeyboardInterrupt, PepperError):
         raise
     except BaseException as error:
@@ -67,7 +69,7 @@ def user_errors(where: str, argument: str = "") -> Iterator[None]:
         problem = f"failed with {describe_error(error)}"
         if argument:
             raise ArgumentError(argument, f"{where} {problem}") from error
-        raise InputError(where, problem) from error
+        raise InputError(where, problem, key=key) from error
 
 
 @contextmanager
