@@ -41,7 +41,7 @@ _MOST_VALUES: Final[Mapping[FileKind, int]] = {
 _LONG_NUMBER: Final = re.compile(r"\d[\d_]{999,}")
 _PYTHON_TO_TOML: Final = (
     (re.compile(r"a valid tuple|a valid list"), "a list"),
-    (re.compile(r"a valid dictionary( or (instance|object) .*)?"), "a table"),
+    (re.compile(r"a( valid)? dictionary( or .*)?"), "a table"),
     (re.compile(r"Input is not a valid path.*"), "must be a path, in quotes"),
 )
 """The validator's names of Python types, in terms of TOML."""
@@ -198,7 +198,7 @@ def _as_input_error(error: ValidationError, data: Any, where: str | Path) -> Inp
         return InputError(
             where, f"must be one of {context['expected_tags']}", key=f"{key}.kind", value=context["tag"]
         )
-    if first["type"] == "extra_forbidden":
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return InputError(where, "is not a known key", key=key)
     if first["type"] == "missing":
         return InputError(where, "is required but missing", key=key)

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -202,7 +203,7 @@ def test_rejects_invalid_arguments_before_writing(make, tmp_path, arguments):
 def test_rejects_folder_of_another_data_set(make, recipe, tmp_path):
     make(frames="0:1")
     before = contents(tmp_path / "set")
-    other = recipe.model_copy(update={"row": recipe.row.model_copy(update={"gap_mm": 250.0})})
+    other = recipe.model_copy(update={"row": replace(recipe.row, gap_m=0.25)})
     for arguments, message in (
         ({"recipe": other}, r"recipe\.row\.gap_mm is 200\.0 there and 250\.0 here"),
         ({"seed": 7}, r"recipe\.seed is 2018 there and 7 here"),

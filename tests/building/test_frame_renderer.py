@@ -21,7 +21,7 @@ LABELS = ("class", "distance")
 
 @pytest.fixture
 def three_plants(recipe):
-    row = recipe.row.model_copy(update={"plants_front": 2, "plants_back": 1})
+    row = replace(recipe.row, plants_front=2, plants_back=1)
     return recipe.model_copy(update={"row": row})
 
 
@@ -153,7 +153,7 @@ BASELINE_M = 0.06  # of the recipe
 
 @pytest.fixture
 def without_partner(recipe):
-    return recipe.model_copy(update={"camera": recipe.camera.model_copy(update={"baseline_mm": None})})
+    return recipe.model_copy(update={"camera": replace(recipe.camera, baseline_m=None)})
 
 
 def test_other_cameras_are_passed_only_for_outputs_that_need_them(recipe, fake_renderer, empty_scenes):
@@ -182,8 +182,8 @@ def test_partner_is_one_baseline_to_the_right_and_shares_the_flash(recipe):
 
 
 def test_partner_has_no_flash_if_the_camera_has_none(recipe):
-    camera = recipe.camera.model_copy(update={"flash": "none"})
-    developing = recipe.developing.model_copy(update={"white_balance": "daylight"})
+    camera = replace(recipe.camera, flash="none")
+    developing = replace(recipe.developing, white_balance="daylight")
     views = FrameRenderer(recipe.model_copy(update={"camera": camera, "developing": developing})).views
     assert views.partners(recipe.plan.frame(0), ["colour_stereo"]).stereo.flash is None
 

@@ -24,8 +24,7 @@ from pepperscene.errors import ArgumentError, InputError
 from pepperscene.grammar import grow
 from pepperscene.recipe.plan import Stream, random_generator
 from pepperscene.recipe.resolve.load import load_recipe
-from pepperscene.recipe.tables import TwineTable
-from pepperscene.scene import Greenhouse
+from pepperscene.scene import Greenhouse, Twine
 
 COUNT = 6
 
@@ -111,7 +110,7 @@ def test_rejects_detail_that_is_not_positive_and_finite(february, detail):
 
 @pytest.fixture(scope="module")
 def factory(february):
-    return PlantFactory(february, 7, Greenhouse(turn_sd_rad=0.5), TwineTable(diameter_mm=3, turns_per_m=4))
+    return PlantFactory(february, 7, Greenhouse(turn_sd_rad=0.5), Twine(0.003, 4.0))
 
 
 @pytest.fixture(scope="module")

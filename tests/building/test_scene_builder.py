@@ -18,6 +18,7 @@ from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene.far_rows import FAR_ROW_PLANTS
+from pepperscene.scene.greenhouse import FarRowsAs
 
 SMALL = {
     "cultivar": "kaite_february",  # the smallest plants
@@ -88,7 +89,7 @@ def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
 
 
 def test_plants_depend_on_set_and_number_but_not_on_the_count(recipe, builder):
-    alone = recipe.model_copy(update={"row": recipe.row.model_copy(update={"plants_front": 1})})
+    alone = recipe.model_copy(update={"row": replace(recipe.row, plants_front=1)})
     other = builder_of(alone)
     np.testing.assert_array_equal(other.plants(0)[0].mesh.vertices, builder.plants(0)[0].mesh.vertices)
     assert not np.array_equal(other.plants(1)[0].mesh.vertices, builder.plants(0)[0].mesh.vertices)
@@ -212,7 +213,7 @@ def test_far_rows_follow_with_plants_of_their_own(recipe, scene):
 
 
 def test_far_rows_as_background_are_one_instance_each_and_change_nothing_else(recipe, scene):
-    table = recipe.greenhouse.model_copy(update={"far_rows_as": "background"})
+    table = replace(recipe.greenhouse, far_rows_as=FarRowsAs.BACKGROUND)
     other = builder_of(recipe.model_copy(update={"greenhouse": table})).scene(0, 0)
     kinds = [instance.kind for instance in other.mesh.instances]
     assert kinds[-6:] == ["far_row"] * 6

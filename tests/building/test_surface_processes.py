@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -86,7 +87,7 @@ def test_scenes_of_few_plants_or_one_process_start_none(processes, plants, recip
     monkeypatch.setenv(PROCESSES, processes)
     monkeypatch.setattr(SurfaceFactory, "surfaces", surfaces)
     monkeypatch.setattr("pepperscene.scene.assemble_scene", lambda *_args, **_kwargs: None)
-    row = recipe.row.model_copy(update={"plants_front": plants, "plants_back": 0})
+    row = replace(recipe.row, plants_front=plants, plants_back=0)
     varied = recipe.model_copy(update={"row": row})
     FrameRenderer(varied).scene(varied.plan.frame(0))
     assert asked == [processes == "2" and plants > 1]
@@ -94,7 +95,7 @@ def test_scenes_of_few_plants_or_one_process_start_none(processes, plants, recip
 
 def test_one_process_makes_plants_and_surfaces_of_a_scene(recipe, started, monkeypatch):
     monkeypatch.setenv(PROCESSES, "2")
-    row = recipe.row.model_copy(update={"plants_front": MIN_SHARED_PLANTS, "plants_back": 0})
+    row = replace(recipe.row, plants_front=MIN_SHARED_PLANTS, plants_back=0)
     varied = recipe.model_copy(update={"row": row})
     prepared = []
     assembled = FrameRenderer(varied).assemble(

@@ -9,12 +9,13 @@ import typing
 import numpy as np
 import pytest
 from annotated_types import Ge, Gt, Le, Lt
-from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import InputError
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.units import is_table, table_fields
 
 SPECIAL = (0, 0.0, -0.0, 1, -1, 1e-308, 1e308, -1e308, math.nan, math.inf, -math.inf, 2**62, 10**30)
 BASE = {
@@ -41,10 +42,10 @@ def bounds(annotation):
 
 def numbers(model, above=""):
     """Key and ends of the range of every number of a model and the models inside it."""
-    for name, field in model.model_fields.items():
-        key = f"{above}{name}"
+    for name, annotation in table_fields(model).items():
+        key, field = f"{above}{name}", FieldInfo.from_annotation(annotation)
         options = [field.annotation, *typing.get_args(field.annotation)]
-        tables = [part for part in options if isinstance(part, type) and issubclass(part, BaseModel)]
+        tables = [part for part in options if is_table(part)]
         if tables:
             yield from numbers(tables[0], f"{key}.")
             continue
@@ -80,7 +81,7 @@ def check_scene(resolved):
     specs = [plan.frame(step) for step in sorted({0, plan.frames - 1})]
     for spec in specs:
         camera = renderer.views.camera(spec)
-        outputs = ["stereo"] if resolved.recipe.camera.baseline_mm else []
+        outputs = ["stereo"] if resolved.recipe.camera.baseline_m else []
         for view in (camera, renderer.views.partners(spec, outputs).stereo or camera):
             assert np.isfinite(view.pose).all()
             assert np.isfinite(view.intrinsics).all()

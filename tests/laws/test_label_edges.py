@@ -31,7 +31,7 @@ COLUMNS, ROWS = 640, 480  # photosites, 2x2 to a pixel
 def view(request):
     """The camera, its photograph and a function that renders the labels of another camera."""
     recipe = load_recipe("demo")
-    changes = {"row": recipe.row.model_copy(update={"plants_front": 2, "plants_back": 1})}
+    changes = {"row": replace(recipe.row, plants_front=2, plants_back=1)}
     if request.param == "daylight":
         changes |= bright_day(recipe, 3000.0)
     frames = FrameRenderer(recipe.model_copy(update=changes))

@@ -30,6 +30,7 @@ from pepperscene.cli import app
 from pepperscene.cultivar import Cultivar, Distribution
 from pepperscene.outputs import OUTPUTS, Output
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.units import is_table, table_fields
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -241,15 +242,11 @@ def test_sphinx_builds_without_warnings_and_search_finds_what_readers_look_for(t
 
 def _keys(model: type[BaseModel]) -> Iterator[str]:
     """All keys that a file of this model can hold, including those of its tables."""
-    for name, field in model.model_fields.items():
-        yield field.alias or name
-        for annotation in (field.annotation, *get_args(field.annotation)):
-            if (
-                isinstance(annotation, type)
-                and issubclass(annotation, BaseModel)
-                and annotation is not Distribution
-            ):
-                yield from _keys(annotation)
+    for name, annotation in table_fields(model).items():
+        yield name
+        for part in (annotation, *get_args(annotation)):
+            if is_table(part) and part is not Distribution:
+                yield from _keys(part)
 
 
 def _code(page: Path) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tomli_w
 
@@ -20,10 +21,10 @@ def test_shipped_plan_is_the_published_one():
     recipe = load_recipe("barth2018")
     assert (recipe.plan.sets, recipe.plan.rotations, recipe.plan.frames) == (6, 7, 250)
     assert (recipe.row.plants_front, recipe.row.plants_back) == (7, 6)
-    assert (recipe.row.spacing_mm, recipe.row.gap_mm, recipe.row.shift_mm) == (200, 200, 100)
-    assert (recipe.views.distance_mm, recipe.views.pitch_deg) == (400, 20)
+    assert (recipe.row.spacing_m, recipe.row.gap_m, recipe.row.shift_m) == (0.2, 0.2, 0.1)
+    assert (recipe.views.distance_m, recipe.views.pitch_rad) == (0.4, np.radians(20))
     assert 5000 <= recipe.daylight.illuminance_lx <= 6000
-    assert recipe.camera.exposure_us == 50
+    assert recipe.camera.exposure_s == 50e-6
 
 
 def test_every_shipped_number_names_its_source():
@@ -48,8 +49,8 @@ def test_tables_are_merged_and_lists_replaced(write_recipe):
         write_recipe(extends=base.name, name="x", plan={"select": [4]}, views={"azimuth_deg": [0, 10]})
     )
     assert (recipe.plan.sets, recipe.plan.frames, recipe.plan.select) == (6, 5, (4,))
-    assert recipe.views.azimuth_deg == (0, 10)
-    assert recipe.views.distance_mm == 400
+    assert recipe.views.azimuth_rad == (0, np.radians(10))
+    assert recipe.views.distance_m == 0.4
 
 
 def test_paths_are_relative_to_the_file_that_holds_them(tmp_path, write_recipe, monkeypatch):

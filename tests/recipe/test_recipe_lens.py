@@ -105,13 +105,6 @@ def test_content_of_a_calibration_is_part_of_the_identity(calibration):
     assert load_recipe("barth2018", changes).sha256() != first
 
 
-def test_other_recipes_keep_their_identity():
-    camera = load_recipe("barth2018").identity()["recipe"]["camera"]
-    assert camera.keys() == {
-        "sensor", "lens", "flash", "filter", "exposure_us", "focus_mm", "gain", "bits"
-    }  # fmt: skip
-
-
 def test_a_nearer_lens_replaces_inherited_numbers(write_recipe, calibration):
     for name, table in (
         ("fov", {"hfov_deg": 50, "width": 400, "height": 300}),

@@ -18,7 +18,6 @@ from pepperscene.errors import InputError
 from pepperscene.recipe.resolve.camera_views import CameraViews
 from pepperscene.recipe.resolve.frame_setups import FrameSetups, frame_values
 from pepperscene.recipe.resolve.load import load_recipe, resolve_recipe
-from pepperscene.scene import Greenhouse
 
 FRAMES = 600
 
@@ -256,7 +255,7 @@ RIG = (
 
 
 def rig_views(recipe):
-    return CameraViews(FrameSetups(resolve_recipe(recipe, allow_code=True)), lambda setup: Greenhouse())
+    return CameraViews(FrameSetups(resolve_recipe(recipe, allow_code=True)))
 
 
 def test_a_camera_of_the_rig_has_the_place_and_axes_that_scipy_gives(load):
@@ -348,7 +347,7 @@ def test_varied_values_replace_values_and_are_replaced(load):
 def test_views_of_another_kind_replace_the_table_and_the_number_of_frames(load):
     grid = load("[views]\nkind = 'grid'\ndistance_mm = [400, 500]\nheight_mm = [900, 1000, 1100]")
     assert grid.plan.frames == 6
-    assert grid.views.pitch_deg == (0.0,)
+    assert grid.views.pitch_rad == (0.0,)
     path = load(
         "[views]\nkind = 'path'\npoints_mm = [[0, -600, 1000], [1000, -600, 1000]]\n"
         "speed_mm_s = 100\nframe_rate_hz = 2"
@@ -416,11 +415,3 @@ def test_the_shipped_randomised_recipe_has_a_valid_recipe_for_every_set():
     plan = renderer.recipe.plan
     for index in range(0, plan.count, plan.frames):
         assert renderer.setups.at(plan.frame(index)).camera.width == 800
-
-
-def test_recipes_without_variation_have_only_the_keys_of_their_file_in_the_identity():
-    identity = load_recipe("barth2018").identity()["recipe"]
-    assert set(identity["views"]) == {"kind", "distance_mm", "azimuth_deg", "height_mm", "pitch_deg"}
-    assert not {"variation", "twins", "rig", "override", "auto_exposure"} & set(identity)
-    assert set(identity["plan"]) == {"sets", "rotations", "frames"}
-    assert "white_balance_error" not in identity["developing"]

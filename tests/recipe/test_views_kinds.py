@@ -14,7 +14,6 @@ from pepperscene.errors import InputError
 from pepperscene.recipe.resolve.camera_views import CameraViews
 from pepperscene.recipe.resolve.frame_setups import FrameSetups
 from pepperscene.recipe.resolve.load import load_recipe, resolve_recipe
-from pepperscene.scene import Greenhouse
 
 PLAN = "plan = { sets = 1, rotations = 1, frames = 3 }\n"
 ROW = "cultivar = 'kaite_february'\nrow = { plants_front = 1, plants_back = 0 }\n"
@@ -30,7 +29,7 @@ def cameras(tmp_path):
         path = tmp_path / "mine.toml"
         path.write_text(f"extends = 'barth2018'\n{plan}{text}\n")
         resolved = resolve_recipe(path)
-        views = CameraViews(FrameSetups(resolved), lambda setup: Greenhouse())
+        views = CameraViews(FrameSetups(resolved))
         return [views.camera(resolved.recipe.plan.frame(i)) for i in range(resolved.recipe.plan.frames)]
 
     return make
@@ -292,7 +291,7 @@ def test_recipes_in_folders_whose_names_are_not_utf_8(tmp_path):
         text = "extends = 'barth2018'\nname = 'mine'\ncultivar = 'mine_plant.toml'\n[views]\n"
         (folder / "mine.toml").write_text(text + "kind = 'poses'\nfile = 'poses.csv'\n")
         resolved = resolve_recipe(folder / "mine.toml")
-        views = CameraViews(FrameSetups(resolved), lambda setup: Greenhouse())
+        views = CameraViews(FrameSetups(resolved))
         np.testing.assert_allclose(views.camera(resolved.recipe.plan.frame(1)).pose[:3, 3], [0.0, -0.8, 1.1])
         assert resolved.cultivar.name == "Mine"
         digests.add(resolved.recipe.sha256())

@@ -16,7 +16,7 @@ from pepperscene.scene.culling import mesh_chunks
 from pepperscene.scene.far_rows import FarDetail, far_detail
 from pepperscene.scene.greenhouse import FarRowsAs, row_lines
 
-ROW = DoubleRow(front=3, back=2, spacing_m=0.25, gap_m=0.3, shift_m=0.125)
+ROW = DoubleRow(plants_front=3, plants_back=2, spacing_m=0.25, gap_m=0.3, shift_m=0.125)
 GREENHOUSE = Greenhouse(row_lean_rad=np.radians(5.0), far_rows=1, far_reach_m=2.0, aisle_m=1.2)
 AS_BACKGROUND = replace(GREENHOUSE, far_rows_as=FarRowsAs.BACKGROUND)
 AS_IGNORED = replace(GREENHOUSE, far_rows_as=FarRowsAs.IGNORE)

@@ -14,7 +14,7 @@ from pepperscene.scene import DoubleRow, Greenhouse, draw_posture, greenhouse_me
 from pepperscene.scene.greenhouse import beam, box, rod, row_lines
 
 HEXAGON = [(np.cos(a), 2 * np.sin(a)) for a in np.arange(6) * np.pi / 3]
-ROW = DoubleRow(front=7, back=6, spacing_m=0.2, gap_m=0.3, shift_m=0.1)
+ROW = DoubleRow(plants_front=7, plants_back=6, spacing_m=0.2, gap_m=0.3, shift_m=0.1)
 FULL = Greenhouse(
     row_lean_rad=np.radians(4.0),
     gutter_width_m=0.22,
@@ -142,7 +142,7 @@ def test_rows_are_spaced_by_gap_and_aisle():
     np.testing.assert_allclose([line.y_m for line in lines], [0, 0.3, -1.6, -1.3, 1.6, 1.9])
     assert [line.aisle for line in lines] == [-1, 1, -1, 1, -1, 1]
     assert [line.labelled for line in lines] == [True, True, False, False, False, False]
-    single = row_lines(replace(ROW, back=0), replace(FULL, far_rows=2))
+    single = row_lines(replace(ROW, plants_back=0), replace(FULL, far_rows=2))
     np.testing.assert_allclose([line.y_m for line in single], [0, -1.3, 1.3, -2.6, 2.6])
 
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -54,8 +55,8 @@ def recipe() -> Recipe:
     """The shipped recipe with few frames and a single plant, of the smallest growth stage."""
     shipped = load_recipe("barth2018")
     plan = shipped.plan.model_copy(update={"sets": 2, "rotations": 3, "frames": 4})
-    row = shipped.row.model_copy(update={"plants_front": 1, "plants_back": 0})
-    camera = shipped.camera.model_copy(update={"baseline_mm": 60.0})
+    row = replace(shipped.row, plants_front=1, plants_back=0)
+    camera = replace(shipped.camera, baseline_m=0.06)
     changes = {"name": "small", "plan": plan, "row": row, "camera": camera, "cultivar": "kaite_february"}
     return shipped.model_copy(update=changes)
 

@@ -28,11 +28,15 @@ def sphere_and_leaf_view() -> tuple[Scene, Camera]:
 
 def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
     """Changes of a recipe to bright daylight without a flash."""
-    sun = {"illuminance_lx": 30e3, "sun_azimuth_deg": -60.0, "sun_elevation_deg": 50.0}
     return {
-        "daylight": recipe.daylight.model_copy(update=sun),
-        "camera": recipe.camera.model_copy(update={"flash": "none", "exposure_us": exposure_us}),
-        "developing": recipe.developing.model_copy(update={"white_balance": "daylight"}),
+        "daylight": replace(
+            recipe.daylight,
+            illuminance_lx=30e3,
+            sun_azimuth_rad=np.radians(-60.0),
+            sun_elevation_rad=np.radians(50.0),
+        ),
+        "camera": replace(recipe.camera, flash="none", exposure_s=exposure_us / 1e6),
+        "developing": replace(recipe.developing, white_balance="daylight"),
     }
 
 
@@ -40,7 +44,7 @@ def bright_day(recipe: Recipe, exposure_us: float) -> dict[str, object]:
 def plants_view(*, daylight: bool = False) -> tuple[Scene, Camera]:
     """Two plants of the demo with a fast lens: half-way up, by flash or by bright daylight alone."""
     recipe = load_recipe("demo", {"camera.lens": "lensagon_cmfa0420nd"})
-    changes: dict[str, object] = {"row": recipe.row.model_copy(update={"plants_front": 1, "plants_back": 1})}
+    changes: dict[str, object] = {"row": replace(recipe.row, plants_front=1, plants_back=1)}
     if daylight:
         changes |= bright_day(recipe, 300.0)
     frames = FrameRenderer(recipe.model_copy(update=changes))

@@ -19,6 +19,7 @@ from pepperscene.cultivar.organs import MODELS, ResidueShares
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import validate
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.units import is_table, table_fields
 
 WIDEST = {"mm": 1e6, "deg": 1e6, "": 1e6}
 """The greatest number of a file, by unit (`pepperscene.cultivar.notation`)."""
@@ -227,13 +228,12 @@ KEPT = {
 }  # fmt: skip
 
 
-def recipe_keys(model: type[BaseModel] = Recipe, above: str = "") -> dict[str, FieldInfo]:
+def recipe_keys(model: type = Recipe, above: str = "") -> dict[str, FieldInfo]:
     """Dotted key and field of every number and switch of a recipe, and of the tables inside it."""
     found = {}
-    for name, field in model.model_fields.items():
-        key = f"{above}{name}"
-        options = [field.annotation, *typing.get_args(field.annotation)]
-        tables = [part for part in options if isinstance(part, type) and issubclass(part, BaseModel)]
+    for name, annotation in table_fields(model).items():
+        key, field = f"{above}{name}", FieldInfo.from_annotation(annotation)
+        tables = [part for part in [annotation, *typing.get_args(annotation)] if is_table(part)]
         if tables:
             found |= recipe_keys(tables[0], f"{key}.")
         elif (

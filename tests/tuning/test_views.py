@@ -135,7 +135,7 @@ def test_organs_are_at_the_stated_positions(target):
     """A point of the organ is at the position, and the middle of the view shows it."""
     for view in target.views:
         right, down, distance = POSITIONS[int(view.name.split()[-1]) - 1]
-        position = 1e-3 * target.recipe.views.distance_mm * distance * np.array([right, down, 1.0])
+        position = target.recipe.views.distance_m * distance * np.array([right, down, 1.0])
         inverse = np.linalg.inv(view.camera.pose)
         points = view.scene.mesh.vertices.astype(float) @ inverse[:3, :3].T + inverse[:3, 3]
         assert np.linalg.norm(points - position, axis=1).min() < 1e-4
@@ -146,7 +146,7 @@ def test_organs_are_at_the_stated_positions(target):
 def test_pitch_f_number_flash_and_exposure_are_the_recipes(target):
     for view in target.views:
         forward = view.camera.pose[:3, 2]
-        assert np.degrees(np.arcsin(forward[2])) == pytest.approx(target.recipe.views.pitch_deg)
+        assert np.arcsin(forward[2]) == pytest.approx(target.recipe.views.pitch_rad)
         assert view.camera.lens.f_number == target.camera.lens.f_number
         assert view.camera.flash is target.camera.flash
         assert view.camera.exposure_s == target.camera.exposure_s

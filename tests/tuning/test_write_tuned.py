@@ -7,6 +7,7 @@ import json
 import os
 import re
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -314,7 +315,7 @@ def test_full_disk_leaves_no_files(demo, fit, tmp_path, monkeypatch, failing):
 
 def test_invalid_values_leave_no_files(demo, tmp_path):
     fit = example_fit(demo, {"exposure": [50.0]})
-    loud = demo.model_copy(update={"camera": demo.camera.model_copy(update={"gain": 900.0})})
+    loud = demo.model_copy(update={"camera": replace(demo.camera, gain=900.0)})
     with pytest.raises(InputError, match=r"camera\.gain"):
         write(loud, fit, tmp_path / "out")
     assert not list(tmp_path.iterdir())

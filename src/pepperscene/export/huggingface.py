@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.dataset import MARK
+from pepperscene.dataset.store.recorded_values import recorded_value
 from pepperscene.export.columns import (
     CLASS_NAMES,
     Column,
@@ -143,6 +144,8 @@ def _card_text(info: Mapping[str, Any], columns: Sequence[Column], splits: Mappi
         images=sum(size.frames for size in splits.values()),
         info=info,
         recipe=info["recipe"],
+        sensor=recorded_value(info, "camera.sensor"),
+        lens=recorded_value(info, "camera.lens"),
         classes=CLASS_NAMES,
         columns=columns,
         splits=splits,

@@ -12,15 +12,18 @@ from typing import Annotated, Any, Final
 from pydantic import Field, PrivateAttr
 
 from pepperscene import atomic
+from pepperscene.camera import Developing
 from pepperscene.document import Document, read_toml
-from pepperscene.recipe import camera_tables, tables
-from pepperscene.recipe.camera_tables import AUTO, AutoExposureTable, DepthCameraTable
+from pepperscene.recipe import tables
+from pepperscene.recipe.camera_tables import AUTO, AutoExposureTable, CameraTable, DepthCameraTable
 from pepperscene.recipe.plan import Plan, check_seed
 from pepperscene.recipe.rig import MOST_CAMERAS, RigCamera, Twins
 from pepperscene.recipe.variation.varied import Varied
 from pepperscene.recipe.views_tables import ViewsTable
+from pepperscene.scene import Daylight, DoubleRow, Greenhouse, Twine
 from pepperscene.spectra import read_spectra
 from pepperscene.spectra.files import curve_file, find_material
+from pepperscene.units import NONE, TABLE_CONFIG, Name
 
 _REFERENCE: Final = "file"
 """Key whose value is the path of a CSV file of spectra, relative to the file that holds it."""
@@ -56,7 +59,7 @@ class Recipe(Document):
         cultivar: shipped name or path.
         plan, row, views, camera, developing: the tables.
         auto_exposure: for an exposure of "auto"; None for its defaults.
-        depth_camera: a stereo depth camera beside `camera`, or None for none.
+        depth_camera: a further stereo depth camera, or None.
         white_reference: of the output `reflectance`, or None for its defaults.
         override: values of the cultivar file that this recipe changes.
         rig: further cameras that move with `camera`.
@@ -68,18 +71,20 @@ class Recipe(Document):
         expect: expected statistics of the finished data set, or None; see `pepperscene check`.
     """
 
-    name: tables.Name
+    model_config = TABLE_CONFIG
+
+    name: Name
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)]
-    cultivar: tables.Name
+    cultivar: Name
     plan: Plan
-    row: tables.RowTable
+    row: DoubleRow
     views: ViewsTable
-    camera: camera_tables.CameraTable
-    developing: camera_tables.DevelopingTable = camera_tables.DevelopingTable()
-    daylight: tables.DaylightTable | None = None
-    twine: tables.TwineTable | None = None
+    camera: CameraTable
+    developing: Developing = Developing()
+    daylight: Daylight | None = None
+    twine: Twine | None = None
     growth: tables.GrowthTable | None = None
-    greenhouse: tables.GreenhouseTable | None = None
+    greenhouse: Greenhouse | None = None
     expect: tables.ExpectTable | None = None
     auto_exposure: AutoExposureTable | None = None
     depth_camera: DepthCameraTable | None = None
@@ -97,7 +102,7 @@ class Recipe(Document):
     @property
     def exposure_control(self) -> AutoExposureTable | None:
         """What automatic exposure aims at; None if the exposure is given."""
-        if self.camera.exposure_us != AUTO:
+        if self.camera.exposure_s != AUTO:
             return None
         return self.auto_exposure or AutoExposureTable()
 
@@ -112,7 +117,7 @@ class Recipe(Document):
         return self if seed is None else self.model_copy(update={"seed": check_seed(seed)})
 
     def identity(self) -> dict[str, Any]:
-        """All values that frames depend on, from the recipe and the files that it names.
+        """All values that frames depend on and that are no defaults, and the files that the recipe names.
 
         Paths are reduced to names, so that the identity is the same on every machine. `plan.select` and
         `expect` are left out, because they change no frame.
@@ -125,24 +130,9 @@ class Recipe(Document):
         Raises:
             InputError: one of these files is missing or cannot be read.
         """
-        recipe = self.model_dump(mode="json", exclude={"plan": {"select"}, "expect": True})
-        # Tables added later are left out where they are missing, so that older recipes keep their identity.
-        later = ("growth", "greenhouse", "auto_exposure", "depth_camera", "white_reference")
-        for table in (*later, "override", "rig", "twins"):
-            if not recipe[table]:
-                del recipe[table]
-        for name in ("twins", "cameras"):
-            if recipe["plan"][name] == 1:
-                del recipe["plan"][name]
-        for table in ("camera", "depth_camera"):
-            for key in camera_tables.LATER_KEYS if table in recipe else ():
-                if recipe[table][key] is None:
-                    del recipe[table][key]
-        if recipe["views"].get("speed_mm_s", 0) is None:
-            del recipe["views"]["speed_mm_s"]
-        for key, unused in camera_tables.LATER_STEPS.items():
-            if getattr(self.developing, key) == unused:
-                del recipe["developing"][key]
+        recipe = self.model_dump(
+            mode="json", exclude={"plan": {"select"}, "expect": True}, exclude_defaults=True
+        )
         if self.variation:
             recipe["variation"] = {varied.name: varied.identity() for varied in self.variation}
 
@@ -167,7 +157,7 @@ class Recipe(Document):
         varied = [name for v in self.variation if v.name == dotted for name in v.extremes]
         rig = [camera.camera.get(key[1]) for camera in self.rig if key[0] == "camera"]
         names = dict.fromkeys([value, *varied, *self.twins.get(dotted, ()), *rig])
-        return [name for name in names if isinstance(name, str) and name != tables.NONE]
+        return [name for name in names if isinstance(name, str) and name != NONE]
 
     def sha256(self) -> str:
         """SHA-256 of the identity as canonical JSON, hexadecimal."""

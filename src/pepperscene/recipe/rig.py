@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from pepperscene.document import Document
-from pepperscene.recipe.tables import Angle
+from pepperscene.units import MILLIMETRES, TABLE_CONFIG, Angle, within
 
 FIRST_CAMERA: Final = "main"
 """Name of the camera of the table `[camera]` on a rig."""
 
 MOST_CAMERAS: Final = 64  # chosen: more than a robot carries
 _MOST_TWINS: Final = 1000  # chosen: as the largest number of sets
-Offset = Annotated[float, Field(strict=True, ge=-10_000, le=10_000)]
+Offset = Annotated[float, within(-10_000, 10_000), MILLIMETRES]
 _PLACE: Final = ("name", "position_mm", "rotation_deg")
 
 
@@ -33,15 +33,17 @@ class RigCamera(Document):
 
     Attributes:
         name: of the camera.
-        position_mm: of its projection centre in the axes of the main camera: right, down, forward.
-        rotation_deg: of its axes from those of the main camera: to the right about the down axis, then
+        position_m: of its projection centre in the axes of the main camera: right, down, forward.
+        rotation_rad: of its axes from those of the main camera: to the right about the down axis, then
             upwards about the right axis, then clockwise about the optical axis.
         camera: values of `[camera]` that differ.
     """
 
+    model_config = TABLE_CONFIG
+
     name: Annotated[str, Field(strict=True), AfterValidator(_check_name)]
-    position_mm: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
-    rotation_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    position_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    rotation_rad: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     camera: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="before")
@@ -56,21 +58,21 @@ class RigCamera(Document):
     @property
     def extrinsics(self) -> NDArray[np.float64]:
         """`(4, 4)` from this camera's axes to those of the main camera, metres."""
-        return extrinsics(self.position_mm, self.rotation_deg)
+        return extrinsics(self.position_m, self.rotation_rad)
 
 
 def extrinsics(
-    position_mm: tuple[float, float, float], rotation_deg: tuple[float, float, float]
+    position_m: tuple[float, float, float], rotation_rad: tuple[float, float, float]
 ) -> NDArray[np.float64]:
     """`(4, 4)` from a camera's axes to those of another, metres; arguments as of `RigCamera`."""
     from scipy.spatial.transform import Rotation
 
-    right, up, clockwise = rotation_deg
+    right, up, clockwise = rotation_rad
     # About y (down), a positive angle turns the optical axis to the right; about x, it turns it up.
-    rotation = Rotation.from_euler("YXZ", [right, up, clockwise], degrees=True)
+    rotation = Rotation.from_euler("YXZ", [right, up, clockwise])
     matrix = np.eye(4)
     matrix[:3, :3] = rotation.as_matrix()
-    matrix[:3, 3] = np.array(position_mm) / 1e3
+    matrix[:3, 3] = position_m
     return matrix
 
 

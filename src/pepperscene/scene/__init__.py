@@ -14,10 +14,11 @@ from pepperscene.scene.greenhouse import (
 )
 from pepperscene.scene.placement import Scene, Skeleton, assemble_scene, build_skeleton
 from pepperscene.scene.row import DoubleRow, Twine, add_twine, double_row, place_plants, rotation_about_z
-from pepperscene.scene.sky import Sky, Sun, partly_cloudy_sky, uniform_sky
+from pepperscene.scene.sky import Daylight, Sky, Sun, partly_cloudy_sky, uniform_sky
 
 __all__ = [
     "Cover",
+    "Daylight",
     "DoubleRow",
     "FarRow",
     "Greenhouse",

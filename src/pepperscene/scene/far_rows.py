@@ -132,7 +132,7 @@ def draw_far_rows(
         Rows with at least one plant.
     """
     rows: list[FarRow] = []
-    first_plant = row.front + row.back
+    first_plant = row.plants_front + row.plants_back
     for line in row_lines(row, greenhouse):
         x = _free_positions(line, row, greenhouse, rng)
         if greenhouse.far_rows == 0 or not x.size:
@@ -205,7 +205,7 @@ def _free_positions(
     largest = int(greenhouse.far_reach_m / row.spacing_m) + 1
     number = np.arange(-largest, largest + 1)
     if line.labelled:
-        plants = row.front if line.aisle < 0 else row.back
+        plants = row.plants_front if line.aisle < 0 else row.plants_back
         number = number[(number < -(plants // 2)) | (number >= plants - plants // 2)]
     x = number * row.spacing_m + line.shift_m
     if not line.labelled:

@@ -84,7 +84,7 @@ def leaf_area_index(plants: Sequence[Mesh], row: DoubleRow, greenhouse: Greenhou
         greenhouse: its aisles.
     """
     area = sum(_leaf_area(plant) for plant in plants)
-    if row.back == 0:
+    if row.plants_back == 0:
         floor = len(plants) * row.spacing_m * greenhouse.aisle_m
     else:
         floor = 0.5 * len(plants) * row.spacing_m * (greenhouse.aisle_m + row.gap_m)

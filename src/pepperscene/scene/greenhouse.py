@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes, rectangle, single_instance_mesh
 from pepperscene.scene.row import DoubleRow
+from pepperscene.units import DEGREES, MILLIMETRES, Switch, Table, file_values, within
 
 _ROD_SIDES: Final = 12  # chosen: a wire or a pipe is a few pixels wide
 _SHEET: Final = 0.004  # chosen: folded steel is thinner, but its rims are rolled
@@ -24,6 +25,8 @@ _PIPE_RADIUS: Final = 0.0255  # the pipe rail that carries harvest trolleys is m
 _GAUGE: Final = 0.55  # chosen: a common distance of the two pipes' axes
 _PIPE_HEIGHT: Final = 0.1  # chosen: of the axes, on low supports
 _FLOOR_SIZE: Final = 60.0  # chosen: seen from 1.5 m above its centre, it ends 3 degrees below the horizon
+_MIN_GUTTER_WIDTH_MM: Final = 110  # the substrate block of a plant is 100 mm wide
+_MIN_WIRE_HEIGHT_MM: Final = 500  # above the gutter; chosen: a lower wire could hardly hold a stem
 _MAX_DEVIATIONS: Final = 3.0  # standard deviations; the 0.3 % of draws beyond are clipped to it
 
 
@@ -109,8 +112,8 @@ class FarRowsAs(StrEnum):
 
 
 @dataclass(frozen=True)
-class Greenhouse:
-    """Dimensions of a greenhouse around a double row; parts that are 0 or False are left out.
+class Greenhouse(Table):
+    """Surroundings of a double row, and irregularity of its plants; parts that are 0 or False are left out.
 
     Attributes:
         row_lean_rad: lean of each row towards its own aisle, away from the other row (V-trellis).
@@ -129,20 +132,37 @@ class Greenhouse:
         pipes: whether each aisle has two heating pipes.
     """
 
-    row_lean_rad: float = 0.0
-    lean_sd_rad: float = 0.0
-    turn_sd_rad: float = 0.0
-    spacing_sd_m: float = 0.0
-    across_sd_m: float = 0.0
-    gutter_width_m: float = 0.0
-    gutter_height_m: float = 0.0
-    floor: bool = False
-    crop_wire_m: float = 0.0
-    far_rows: int = 0
+    row_lean_rad: Annotated[float, within(0, 20), DEGREES] = 0.0
+    lean_sd_rad: Annotated[float, within(0, 10), DEGREES] = 0.0
+    turn_sd_rad: Annotated[float, within(0, 180), DEGREES] = 0.0
+    spacing_sd_m: Annotated[float, within(0, 500), MILLIMETRES] = 0.0
+    across_sd_m: Annotated[float, within(0, 500), MILLIMETRES] = 0.0
+    gutter_width_m: Annotated[float, within(0, 1000), MILLIMETRES] = 0.0
+    gutter_height_m: Annotated[float, within(0, 1500), MILLIMETRES] = 0.0
+    floor: Switch = False
+    crop_wire_m: Annotated[float, within(0, 10_000), MILLIMETRES] = 0.0
+    far_rows: Annotated[int, within(0, 5)] = 0
     far_rows_as: FarRowsAs = FarRowsAs.LABELS
-    far_reach_m: float = 4.0
-    aisle_m: float = 1.2
-    pipes: bool = False
+    far_reach_m: Annotated[float, within(500, 20_000), MILLIMETRES] = 4.0
+    aisle_m: Annotated[float, within(600, 5000), MILLIMETRES] = 1.2
+    pipes: Switch = False
+
+    def __post_init__(self) -> None:
+        if self.gutter_width_m == 0 and self.gutter_height_m > 0:
+            raise ValueError("gutter_height_mm needs a gutter_width_mm above 0")
+        # In the file's unit, in which limits are not rounded.
+        in_file = file_values(self)
+        width_mm, wire_mm = in_file["gutter_width_mm"], in_file["crop_wire_mm"]
+        if 0 < width_mm < _MIN_GUTTER_WIDTH_MM:
+            raise ValueError(
+                f"gutter_width_mm = {width_mm:g} must be 0 for none, or at least "
+                f"{_MIN_GUTTER_WIDTH_MM}, so that a plant's block fits in"
+            )
+        if 0 < wire_mm < in_file["gutter_height_mm"] + _MIN_WIRE_HEIGHT_MM:
+            raise ValueError(
+                f"crop_wire_mm = {wire_mm:g} must be 0 for none, or at least "
+                f"{_MIN_WIRE_HEIGHT_MM} above the gutter"
+            )
 
     @property
     def stem_base_m(self) -> float:
@@ -174,7 +194,7 @@ class RowLine:
 
 def row_lines(row: DoubleRow, greenhouse: Greenhouse) -> list[RowLine]:
     """The labelled rows, front row first, then those of the neighbouring double rows, nearest first."""
-    single = row.back == 0
+    single = row.plants_back == 0
     pitch = greenhouse.aisle_m + (0.0 if single else row.gap_m)
     lines = []
     for number in sorted(range(-greenhouse.far_rows, greenhouse.far_rows + 1), key=lambda n: (abs(n), n)):
@@ -244,7 +264,7 @@ def _crop_wire(line: RowLine, greenhouse: Greenhouse, ends: tuple[float, float])
 
 def _pipe_axes(row: DoubleRow, greenhouse: Greenhouse) -> Sequence[float]:
     """Positions in y of the two pipes in each aisle, those of the camera's aisle first."""
-    gap = 0.0 if row.back == 0 else row.gap_m
+    gap = 0.0 if row.plants_back == 0 else row.gap_m
     gauge = min(_GAUGE, 0.5 * greenhouse.aisle_m)  # a narrow aisle has a narrower pair
     aisles = sorted(range(-greenhouse.far_rows, greenhouse.far_rows + 2), key=abs)
     middles = [n * (greenhouse.aisle_m + gap) - greenhouse.aisle_m / 2.0 for n in aisles]

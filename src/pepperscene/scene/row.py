@@ -5,49 +5,56 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.geometry import Mesh, concatenate_meshes, stem_branches, stem_profile, twine_mesh
 from pepperscene.grammar import Plant
+from pepperscene.units import MILLIMETRES, Table, within, zero_or_at_least
 
 _STRAIGHT: Final = 0.15  # chosen: metres of twine below the wire that are not wound round the stem
 
 
 @dataclass(frozen=True)
-class Twine:
-    """Horticultural twine, wound round the stem: its diameter and its windings per metre of stem."""
+class Twine(Table):
+    """Horticultural twine of three strands, wound around every stem.
 
-    diameter_m: float
-    turns_per_m: float
+    Attributes:
+        diameter_m: of the twine; 0 for none.
+        turns_per_m: windings per metre of stem.
+    """
+
+    # Chosen: at least fine sewing thread.
+    diameter_m: Annotated[float, within(0, 20), zero_or_at_least(0.1), MILLIMETRES]
+    turns_per_m: Annotated[float, within(0, 50)]
 
 
 @dataclass(frozen=True)
-class DoubleRow:
+class DoubleRow(Table):
     """Two parallel rows of plants along x, both centred on the front row's middle plant.
 
     Attributes:
-        front: plants in the row at y = 0; the middle one, number `front // 2`, is at the origin.
-        back: plants in the row behind, at y = `gap_m`.
+        plants_front: plants in the row at y = 0; the middle one, `plants_front // 2`, is at the origin.
+        plants_back: plants in the row behind, at y = `gap_m`.
         spacing_m: distance between neighbours in a row.
         gap_m: distance between the rows.
         shift_m: shift of the back row along x; with half the spacing, its plants face the front row's gaps.
     """
 
-    front: int
-    back: int
-    spacing_m: float
-    gap_m: float
-    shift_m: float
+    plants_front: Annotated[int, within(1, 50)]
+    plants_back: Annotated[int, within(0, 50)]
+    spacing_m: Annotated[float, within(50, 2000), MILLIMETRES]
+    gap_m: Annotated[float, within(0, 5000), MILLIMETRES]
+    shift_m: Annotated[float, within(-2000, 2000), MILLIMETRES]
 
     def positions(self) -> NDArray[np.float64]:
         """`(front + back, 2)` x and y of the plants in metres, front to back and left to right."""
-        front_x = (np.arange(self.front) - self.front // 2) * self.spacing_m
-        back_x = (np.arange(self.back) - self.back // 2) * self.spacing_m + self.shift_m
+        front_x = (np.arange(self.plants_front) - self.plants_front // 2) * self.spacing_m
+        back_x = (np.arange(self.plants_back) - self.plants_back // 2) * self.spacing_m + self.shift_m
         x = np.concatenate([front_x, back_x])
-        return np.stack([x, np.repeat([0.0, self.gap_m], [self.front, self.back])], axis=1)
+        return np.stack([x, np.repeat([0.0, self.gap_m], [self.plants_front, self.plants_back])], axis=1)
 
 
 def add_twine(

@@ -6,9 +6,10 @@ A sky map is an image of the whole sphere in equal steps of polar angle (rows, z
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,48 @@ from pepperscene.scene.cover import Cover, directions, row_geometry, tabulate_ha
 from pepperscene.scene.floor import MAX_LEAF_AREA_INDEX, reflected_radiance
 from pepperscene.scene.sky_luminance import LOWEST_SKY, partly_cloudy_weights
 from pepperscene.spectra import Spectrum, daylight_basis, illuminance, scale_to_illuminance, sun_spectrum
+from pepperscene.units import DEGREES, NONE, Fraction, Name, Table, within, zero_or_at_least
 
 SUN_ANGULAR_RADIUS: Final = 0.004654
 """Radians; the solar radius of 695,700 km at one astronomical unit (IAU 2015 resolution B3)."""
 
 _ROWS: Final = 256  # chosen: 0.7 degrees a texel, finer than clouds seen out of focus
+_MAX_SUNLIGHT_LX: Final = 1e6
+"""On a plane that faces the sun. Chosen: seven times what the sun gives above the atmosphere (133,000 lx;
+Darula, Kittler and Gueymard 2005, Solar Energy 79:559), and far from where the renderer's numbers end."""
 _MAX_SUN_FRACTION: Final = 0.99  # the floor lights the horizon with at least the rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Daylight(Table):
+    """A partly cloudy sky with the sun's disc; no sky if `illuminance_lx` is 0.
+
+    Attributes:
+        illuminance_lx: of sky and sun together, on a horizontal plane above the crop and below the cover.
+        sun_azimuth_rad: counter-clockwise from +x, as seen from above; pi/2 is behind the crop.
+        sun_elevation_rad: above the horizon.
+        sun_fraction: fraction of the illuminance that comes from the sun: from its disc and, below a hazy
+            cover, from around it.
+        cloud_cover: fraction of the sky that clouds cover.
+        cover: shipped name or path, or "none".
+    """
+
+    # Chosen: at least a moonless, overcast night.
+    illuminance_lx: Annotated[float, within(0, 200_000), zero_or_at_least(1e-4)]
+    sun_azimuth_rad: Annotated[float, within(-360, 360), DEGREES] = math.radians(90.0)
+    sun_elevation_rad: Annotated[float, within(1, 90), DEGREES] = math.radians(45.0)
+    # Chosen: at least far below the sunlight that passes an overcast sky.
+    sun_fraction: Annotated[float, within(0, 0.95), zero_or_at_least(1e-6)] = 0.0
+    cloud_cover: Fraction = 0.5
+    cover: Name = NONE
+
+    def __post_init__(self) -> None:
+        direct_lx = self.illuminance_lx * self.sun_fraction / math.sin(self.sun_elevation_rad)
+        if direct_lx > _MAX_SUNLIGHT_LX:
+            raise ValueError(
+                f"illuminance_lx x sun_fraction / sin(sun_elevation_deg) = {direct_lx:.3g} lx "
+                f"towards the sun must be at most {_MAX_SUNLIGHT_LX:g} lx"
+            )
 
 
 @dataclass(frozen=True, eq=False)

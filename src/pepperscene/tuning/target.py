@@ -93,7 +93,7 @@ class TuningTarget:
         self.recipe, self.patches, self.registered = recipe, patches, registered
         self._bounds, self._organs, self._pixels = bounds, organs, pixels
         self._quality, self._seed = quality, seed
-        if recipe.camera.exposure_us == AUTO:
+        if recipe.camera.exposure_s == AUTO:
             problem = "must be a time: colours are tuned at one exposure of all photographs"
             raise InputError(recipe.name, problem, key="camera.exposure_us", value=AUTO)
         self.frame_renderer = FrameRenderer(recipe)

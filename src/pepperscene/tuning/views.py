@@ -80,7 +80,7 @@ def organ_views(
     for kind in kinds:
         _check_kind(kind)
     surfaces = organ_surfaces(cultivar, surface_wavelengths(camera.sensor))
-    pitch = np.radians(recipe.views.pitch_of_view_deg)
+    pitch = recipe.views.typical_pitch_rad
     forward = np.array([0.0, np.cos(pitch), np.sin(pitch)])
 
     # Grow plants until there are enough organs of every kind.
@@ -101,7 +101,7 @@ def organ_views(
             raise InputError(recipe.name, problem, key="cultivar", value=recipe.cultivar)
         for i, mesh in enumerate(of_kind):
             right, down, distance = POSITIONS[i % len(POSITIONS)]
-            position = 1e-3 * recipe.views.subject_mm * distance * np.array([right, down, 1.0])
+            position = recipe.views.subject_m * distance * np.array([right, down, 1.0])
             close_up = _close_up_camera(camera, mesh, forward, position, pixels)
             scene = assemble_scene(mesh, {name: surfaces[name] for name in mesh.surfaces}, sky)
             views.append(OrganView(f"{kind} {i + 1}", kind, scene, close_up, _mask(kind, scene, close_up)))

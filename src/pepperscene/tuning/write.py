@@ -26,11 +26,11 @@ from pepperscene.recipe.recipe import FILE_FOLDERS, Recipe
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
-from pepperscene.recipe.tables import NONE
 from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.figure import BeforeAfter, before_after_png
 from pepperscene.tuning.part_files import changed_paths, cultivar_text, flash_changed, flash_files
 from pepperscene.tuning.report import RunInfo, describe_colours, describe_values, fit_record, toml_text
+from pepperscene.units import NONE
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
@@ -134,7 +134,8 @@ def _relative_path(path: Path, folder: Path) -> str:
 
 def _recipe_content(recipe: Recipe, folder: Path) -> Changes:
     """Values of a recipe as in its file, without `expect`, which was measured with other colours."""
-    content = recipe.model_dump(mode="python", exclude_none=True, exclude={"expect"})
+    # The file has a name for no white balance, so missing values are left out only afterwards.
+    content = _without_none(recipe.model_dump(exclude={"expect"}))
     for *tables, last in FILE_FOLDERS:
         table: Any = content
         for name in tables:
@@ -293,3 +294,11 @@ def _write_and_load(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...
         remove([*reversed(missing), *paths])
         raise
     return paths
+
+
+def _without_none(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in values.items()
+        if value is not None
+    }

@@ -32,6 +32,7 @@ from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.recipe.views_tables import FunctionViews
 from pepperscene.truth import class_pixel_counts
+from pepperscene.units import file_values
 from pepperscene.version import __version__
 
 _IMAGE_THREADS: Final = 4
@@ -108,7 +109,7 @@ class BuildJob:
         info: dict[str, Any] = {"format": FORMAT, "version": __version__, "quality": quality}
         info |= {"recipe_sha256": digest(identity), **identity}
         if expect is not None:
-            info["expect"] = expect.model_dump(mode="json", exclude_none=True)
+            info["expect"] = file_values(expect, mode="json", exclude_none=True)
         return info
 
     def _variation(self, spec: FrameSpec) -> dict[str, Any]:

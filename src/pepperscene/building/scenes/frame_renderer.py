@@ -10,8 +10,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-import numpy as np
-
 from pepperscene.building.scenes.optics import (
     SurfaceFactory,
     SurfacePreparation,
@@ -19,7 +17,7 @@ from pepperscene.building.scenes.optics import (
     lit_cameras,
     prepare_for_mitsuba,
 )
-from pepperscene.building.scenes.scene_builder import NearPlants, SceneBuilder, make_greenhouse
+from pepperscene.building.scenes.scene_builder import NearPlants, SceneBuilder
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import OUTPUTS, needs_surfaces
@@ -136,7 +134,7 @@ class FrameRenderer:
         self.resolved = resolve_recipe(recipe, allow_code=allow_code)
         self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
         self.setups = FrameSetups(self.resolved)
-        self.views = CameraViews(self.setups, lambda setup: make_greenhouse(setup.recipe.greenhouse))
+        self.views = CameraViews(self.setups)
         self.culled = culled and not self.views.depends_on_scene
         self._renderer_factory = renderer or mitsuba_renderer
         self._near_plants = NearPlants(self.views, self._renderer_factory)
@@ -267,8 +265,8 @@ class FrameRenderer:
         return partly_cloudy_sky(
             random_generator(self.recipe.seed, Stream.SKY, set_index),
             illuminance_lx=light.illuminance_lx,
-            sun_azimuth_rad=float(np.radians(light.sun_azimuth_deg)),
-            sun_elevation_rad=float(np.radians(light.sun_elevation_deg)),
+            sun_azimuth_rad=light.sun_azimuth_rad,
+            sun_elevation_rad=light.sun_elevation_rad,
             sun_fraction=light.sun_fraction,
             cloud_cover=light.cloud_cover,
             cover=setup.cover,

@@ -96,17 +96,17 @@ def _exposures(setup: FrameSetup) -> list[Camera]:
     control, (camera, *imagers) = setup.recipe.exposure_control, lit_cameras(setup)
     if control is None:
         return [camera, *imagers]
-    return [*(replace(camera, exposure_s=limit_us / 1e6) for limit_us in control.exposure_us), *imagers]
+    return [*(replace(camera, exposure_s=limit_s) for limit_s in control.exposure_s), *imagers]
 
 
 def _light_reach(setup: FrameSetup, camera: Camera) -> LightReach:
     from pepperscene.scene import light_reach
 
     light = setup.recipe.daylight
-    distance_m = setup.recipe.views.subject_mm / 1e3
+    distance_m = setup.recipe.views.subject_m
     if light is None or light.illuminance_lx == 0:
         return light_reach(camera, distance_m, 0.0)
     # As for a clear sky: a hazy cover only softens the sun's shadows.
     sun_lx = light.illuminance_lx * light.sun_fraction
-    normal_lx = sun_lx / np.sin(np.radians(light.sun_elevation_deg)) if sun_lx > 0 else 0.0
+    normal_lx = sun_lx / np.sin(light.sun_elevation_rad) if sun_lx > 0 else 0.0
     return light_reach(camera, distance_m, light.illuminance_lx - sun_lx, float(normal_lx))

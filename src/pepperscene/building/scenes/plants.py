@@ -21,13 +21,12 @@ from pepperscene.building.memory import PER_TRIANGLE, check_fits
 from pepperscene.building.subprocess_rpc import FunctionWorker, available_cores
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.recipe.plan import Stream, check_seed, random_generator
-from pepperscene.recipe.tables import TwineTable
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.geometry import ContactCounts, Mesh
     from pepperscene.grammar import Plant
-    from pepperscene.scene import Greenhouse, Posture
+    from pepperscene.scene import Greenhouse, Posture, Twine
 
 
 PROCESSES: Final = "PEPPERSCENE_PROCESSES"
@@ -173,7 +172,7 @@ class PlantFactory:
     cultivar: Cultivar
     seed: int
     greenhouse: Greenhouse
-    twine: TwineTable | None
+    twine: Twine | None
 
     def plant(self, set_index: int, number: int, *, free_leaves: bool = False) -> PlacedPlant:
         """Make one plant of a set.
@@ -218,12 +217,11 @@ class PlantFactory:
         return GrownPlant(move_plant(plant, resolved.motions), resolved.mesh, resolved.contacts)
 
     def _with_twine(self, plant: Plant, mesh: Mesh, posture: Posture, rng: np.random.Generator) -> Mesh:
-        from pepperscene.scene import Twine, add_twine
+        from pepperscene.scene import add_twine
 
-        if self.twine is None or self.twine.diameter_mm == 0:
+        if self.twine is None or self.twine.diameter_m == 0:
             return mesh
-        twine = Twine(self.twine.diameter_mm / 1e3, self.twine.turns_per_m)
-        return add_twine(plant, mesh, twine, rng, self._wire_knot(plant, posture))
+        return add_twine(plant, mesh, self.twine, rng, self._wire_knot(plant, posture))
 
     def _wire_knot(self, plant: Plant, posture: Posture) -> np.ndarray | None:
         """`(3,)` point on the wire, if there is one, above the stem's tip, in the plant's coordinates."""

@@ -23,13 +23,12 @@ from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator, rotate_row
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.camera_views import CameraViews, DrawnViews
-from pepperscene.recipe.tables import GreenhouseTable
 from pepperscene.recipe.views.near_plants import CoarsePlants
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar
     from pepperscene.geometry import ContactCounts, Mesh
-    from pepperscene.scene import DoubleRow, FarRow, Greenhouse, Scene, Skeleton
+    from pepperscene.scene import FarRow, Scene, Skeleton
 
 
 FAR_DETAIL: Final = 0.3
@@ -79,7 +78,10 @@ class SceneBuilder:
     """
 
     def __init__(self, recipe: Recipe, cultivar: Cultivar, processes: int | None = None) -> None:
+        from pepperscene.scene import Greenhouse
+
         self.recipe = recipe
+        self.row, self.greenhouse = recipe.row, recipe.greenhouse or Greenhouse()
         self.cultivar = cultivar
         self._processes = plant_processes(processes)
         self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
@@ -99,7 +101,8 @@ class SceneBuilder:
         )
 
         plants, row, greenhouse, seed = self.plants(set_index), self.row, self.greenhouse, self.recipe.seed
-        ordered = rotate_row(plants[: row.front], rotation) + rotate_row(plants[row.front :], rotation)
+        front, back = plants[: row.plants_front], plants[row.plants_front :]
+        ordered = rotate_row(front, rotation) + rotate_row(back, rotation)
 
         # Positions belong to the greenhouse, postures to the plants that rotate through the row.
         positions = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, set_index, 0))
@@ -108,8 +111,8 @@ class SceneBuilder:
         across = np.array([plant.posture.across_m for plant in ordered])
         if self.recipe.greenhouse is not None:
             # The back row faces the aisle behind it.
-            turns[row.front :] += np.pi
-            across[row.front :] *= -1.0
+            turns[row.plants_front :] += np.pi
+            across[row.plants_front :] *= -1.0
         feet[:, 1] += across
 
         # The row, without contacts between its plants.
@@ -193,29 +196,14 @@ class SceneBuilder:
         if self._set is None or self._set[0] != set_index:
             # Release the old plants before making new ones.
             self._set = None
-            count = self.row.front + self.row.back
+            count = self.row.plants_front + self.row.plants_back
             self._set = set_index, make_plants(self._factory, set_index, count, self._processes, worker)
         return self._set[1]
 
     @property
     def shares_work(self) -> bool:
         """Whether another process takes a part of the work: with two processes, and plants enough."""
-        return self._processes == 2 and self.row.front + self.row.back >= MIN_SHARED_PLANTS
-
-    @cached_property
-    def row(self) -> DoubleRow:
-        """The double row in metres."""
-        from pepperscene.scene import DoubleRow
-
-        row = self.recipe.row
-        return DoubleRow(
-            row.plants_front, row.plants_back, row.spacing_mm / 1e3, row.gap_mm / 1e3, row.shift_mm / 1e3
-        )
-
-    @cached_property
-    def greenhouse(self) -> Greenhouse:
-        """The greenhouse in metres and radians."""
-        return make_greenhouse(self.recipe.greenhouse)
+        return self._processes == 2 and self.row.plants_front + self.row.plants_back >= MIN_SHARED_PLANTS
 
     @cached_property
     def far_models(self) -> list[Mesh]:
@@ -237,7 +225,7 @@ class SceneBuilder:
 
         rng = random_generator(self.recipe.seed, Stream.PLANT, 0, 0)
         per_plant = most_triangles(draw_parameters(self.cultivar, rng))
-        full, far = self.row.front + self.row.back, 0
+        full, far = self.row.plants_front + self.row.plants_back, 0
         if self.greenhouse.far_rows > 0:
             in_line = 2 * math.floor(self.greenhouse.far_reach_m / self.row.spacing_m) + 1
             far = max(len(row_lines(self.row, self.greenhouse)) * in_line - full, 0)
@@ -338,28 +326,3 @@ class NearPlants:
         if self._views.are_random:
             specs = [spec for spec in specs if spec.step < DECISIVE_VIEWS]
         return coarse.shown_near(self._views.near_views(specs, scene, visible)), self._views.drawn(scene)
-
-
-def make_greenhouse(table: GreenhouseTable | None) -> Greenhouse:
-    """The greenhouse of a table in metres and radians; without one, upright plants in even rows alone."""
-    from pepperscene.scene import Greenhouse
-    from pepperscene.scene.greenhouse import FarRowsAs
-
-    if table is None:
-        return Greenhouse()
-    return Greenhouse(
-        row_lean_rad=float(np.radians(table.row_lean_deg)),
-        lean_sd_rad=float(np.radians(table.lean_sd_deg)),
-        turn_sd_rad=float(np.radians(table.turn_sd_deg)),
-        spacing_sd_m=table.spacing_sd_mm / 1e3,
-        across_sd_m=table.across_sd_mm / 1e3,
-        gutter_width_m=table.gutter_width_mm / 1e3,
-        gutter_height_m=table.gutter_height_mm / 1e3,
-        floor=table.floor,
-        crop_wire_m=table.crop_wire_mm / 1e3,
-        far_rows=table.far_rows,
-        far_rows_as=FarRowsAs(table.far_rows_as),
-        far_reach_m=table.far_reach_mm / 1e3,
-        aisle_m=table.aisle_mm / 1e3,
-        pipes=table.pipes,
-    )

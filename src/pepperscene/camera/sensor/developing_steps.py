@@ -4,26 +4,42 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
+from pydantic import BeforeValidator, PlainSerializer
+
+from pepperscene.units import NONE, Switch, Table, single_message, within
 
 Demosaic = Literal["malvar", "menon", "bilinear"]
 Light = Literal["flash", "daylight"]
-Gains = tuple[float, float, float]
-WhiteBalance = Light | Gains
-Matrix = tuple[Gains, Gains, Gains]
 Tone = Literal["srgb", "linear"]
-Pedestal = float | Literal["auto"]
 GAIN_RANGE: Final = (0.01, 100.0)
 """Allowed white balance gains. Chosen: cameras need 1 to 4, and single precision is exact enough here."""
 LARGEST_MATRIX_ENTRY: Final = 100.0
 """Largest absolute entry of a given colour matrix. Chosen as `GAIN_RANGE`; fitted matrices stay below 20."""
 LARGEST_PEDESTAL: Final = 0.25  # of full scale; chosen: black is then a bright grey, code 137
 
+Gain = Annotated[float, within(*GAIN_RANGE)]
+Gains = tuple[Gain, Gain, Gain]
+WhiteBalance = Light | Gains
+Entry = Annotated[float, within(-LARGEST_MATRIX_ENTRY, LARGEST_MATRIX_ENTRY)]
+MatrixRow = tuple[Entry, Entry, Entry]
+Matrix = tuple[MatrixRow, MatrixRow, MatrixRow]
+Pedestal = Annotated[float, within(0, LARGEST_PEDESTAL)] | Literal["auto"]
+
+
+_BALANCE: Final = single_message(
+    'must be "flash", "daylight", "none", or the gains of red, green and blue, each 0.01 to 100'
+)
+_NAMED_NONE: Final = BeforeValidator(lambda value: None if value == NONE else value)
+_NONE_NAME: Final = PlainSerializer(lambda value: NONE if value is None else value)
+_MATRIX: Final = single_message("must be true, false, or three rows of three numbers, each -100 to 100")
+_PEDESTAL: Final = single_message('must be "auto", or 0 to 0.25')
+
 
 @dataclass(frozen=True)
-class Developing:
+class Developing(Table):
     """The steps from the light in front of the lens to the image; each can be left out.
 
     Attributes:
@@ -54,18 +70,18 @@ class Developing:
         ValueError: neither the name of a light nor numbers of that shape and range.
     """
 
-    falloff: bool = True
-    shot_noise: bool = True
-    read_noise: bool = True
-    saturation: bool = True
-    quantise: bool = True
+    falloff: Switch = True
+    shot_noise: Switch = True
+    read_noise: Switch = True
+    saturation: Switch = True
+    quantise: Switch = True
     demosaic: Demosaic = "malvar"
-    white_balance: WhiteBalance | None = "flash"
-    colour_matrix: bool | Matrix = True
+    white_balance: Annotated[WhiteBalance | None, _BALANCE, _NAMED_NONE, _NONE_NAME] = "flash"
+    colour_matrix: Annotated[Switch | Matrix, _MATRIX] = True
     tone: Tone = "srgb"
-    white_balance_error: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    stray_light: bool = False
-    pedestal: Pedestal = 0.0
+    white_balance_error: Gains = (1.0, 1.0, 1.0)
+    stray_light: Switch = False
+    pedestal: Annotated[Pedestal, _PEDESTAL] = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "white_balance_error", _gains(self.white_balance_error, "error"))

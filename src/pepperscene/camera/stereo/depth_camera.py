@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.image.auto_exposure import ExposureControl
 from pepperscene.camera.optics.projector import Projector
+from pepperscene.units import MILLIMETRES, Table, within
 
 
 @dataclass(frozen=True)
-class StereoMatching:
+class StereoMatching(Table):
     """Settings of semi-global matching (Hirschmueller 2008, IEEE TPAMI 30:328) in OpenCV.
 
     The penalties are those that OpenCV's documentation recommends: 8 and 32 times the pixels of a block.
@@ -35,20 +37,22 @@ class StereoMatching:
         farthest_m: depths beyond it are holes.
     """
 
-    disparities: int = 128
-    block_px: int = 7
-    refined_px: int = 9
-    uniqueness_percent: int = 10
-    least_correlation: float = 0.4
-    left_right_px: float = 1.0
-    speckle_px: int = 100
-    farthest_m: float = 10.0
+    # Chosen: at most half of the columns of usual images.
+    disparities: Annotated[int, within(16, 512), Field(multiple_of=16)] = 128
+    block_px: Annotated[int, within(1, 21)] = 7
+    refined_px: Annotated[int, within(0, 51)] = 9
+    uniqueness_percent: Annotated[int, within(0, 100)] = 10
+    least_correlation: Annotated[float, within(-1, 1)] = 0.4
+    left_right_px: Annotated[float, within(0, 100)] = 1.0
+    speckle_px: Annotated[int, within(0, 100_000)] = 100
+    farthest_m: Annotated[float, within(10, 1_000_000), MILLIMETRES] = 10.0
 
     def __post_init__(self) -> None:
         if self.disparities < 16 or self.disparities % 16:
             raise ValueError(f"disparities must be a multiple of 16, not {self.disparities}")
-        if self.block_px % 2 == 0 or (self.refined_px and self.refined_px % 2 == 0):
-            raise ValueError(f"block_px = {self.block_px} and refined_px = {self.refined_px} must be odd")
+        for name, side in (("block_px", self.block_px), ("refined_px", self.refined_px)):
+            if side % 2 == 0 and (side or name == "block_px"):
+                raise ValueError(f"{name} = {side} must be odd")
 
 
 @dataclass(frozen=True, eq=False)

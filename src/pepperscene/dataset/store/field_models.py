@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
@@ -20,8 +20,11 @@ from pepperscene.camera.metadata import (
 )
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
+from pepperscene.recipe.camera_tables import CameraTable
 from pepperscene.recipe.plan import MAX_FRAMES, Plan
+from pepperscene.recipe.rig import RigCamera
 from pepperscene.recipe.variation.recorded import read_variation
+from pepperscene.scene import Daylight, DoubleRow, Greenhouse
 
 _INSTANCES: Final = 65_535  # instance images have 16 bits
 _INSTANCE_KEY: Final = (
@@ -47,30 +50,6 @@ class _Fields(BaseModel):
     model_config = RecordedFields.model_config
 
 
-class _Row(_Fields):
-    plants_front: Count
-    plants_back: Count
-    spacing_mm: Real
-
-
-class _RecipeCamera(_Fields):
-    sensor: Line
-    lens: Line
-    exposure_us: Real | Literal["auto"]
-
-
-class _Daylight(_Fields):
-    illuminance_lx: Real
-
-
-class _Greenhouse(_Fields):
-    far_rows_as: Line = ""
-
-
-class _RigCamera(_Fields):
-    name: Line
-
-
 def _check_variation(variation: dict[str, Any]) -> dict[str, Any]:
     read_variation({"variation": variation})
     return variation
@@ -81,13 +60,13 @@ class _Recipe(_Fields):
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     cultivar: Line
     plan: Plan
-    row: _Row
-    camera: _RecipeCamera
-    daylight: _Daylight | None
-    greenhouse: _Greenhouse | None = None
+    row: DoubleRow
+    camera: CameraTable
+    daylight: Daylight | None = None
+    greenhouse: Greenhouse | None = None
     variation: Annotated[dict[Line, dict[Text, Any]], AfterValidator(_check_variation)] = {}
     twins: dict[Line, list[Any]] = {}
-    rig: list[_RigCamera] = []
+    rig: list[RigCamera] = []
 
 
 class DatasetFields(_Fields):

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.variation.extract import table_model
+from pepperscene.units import default_value, table_fields
+
 
 def is_varied(info: Mapping[str, Any], *keys: str) -> bool:
     """Whether any of some dotted keys of the recipe differs between the frames of a data set.
@@ -31,10 +35,17 @@ def recorded_values(info: Mapping[str, Any], key: str) -> tuple[Any, ...]:
         return _as_tuple(twins[key])
     if key in (variation := as_mapping(recipe.get("variation"))):
         return listed_values(as_mapping(variation[key]))
-    value: Any = recipe
+    return (recorded_value(info, key),)
+
+
+def recorded_value(info: Mapping[str, Any], key: str) -> Any:
+    """The value of a dotted key without a unit, the typical one if it varies; defaults are not recorded."""
+    value: Any = info.get("recipe")
+    model: Any = Recipe
     for part in key.split("."):
-        value = as_mapping(value).get(part)
-    return (value,)
+        value = as_mapping(value).get(part, None if value is None else default_value(model, part))
+        model = table_model(table_fields(model)[part])
+    return value
 
 
 def listed_values(identity: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -18,6 +18,7 @@ from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
 from pepperscene.recipe.resolve.load_camera import white_reference
 from pepperscene.recipe.views.fixed_views import View, fixed_view
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews, Views
+from pepperscene.scene import Greenhouse
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera, Partners
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from pepperscene.recipe.views.near_plants import CoarsePlants, NearViews
     from pepperscene.recipe.views.random_views import RandomView
     from pepperscene.render.visibility import PointTest
-    from pepperscene.scene import Greenhouse, Scene, ViewFrustums
+    from pepperscene.scene import Scene, ViewFrustums
 
 
 DrawnViews = Mapping[tuple[int, Views], "View | RandomView"]
@@ -54,11 +55,10 @@ class CameraViews:
 
     Args:
         setups: of its frames.
-        greenhouse: of a frame, by its setup; arcs lean with its row.
     """
 
-    def __init__(self, setups: FrameSetups, greenhouse: Callable[[FrameSetup], Greenhouse]) -> None:
-        self._setups, self._greenhouse = setups, greenhouse
+    def __init__(self, setups: FrameSetups) -> None:
+        self._setups = setups
         self._plan = setups.resolved.recipe.plan
         self._of_scene: WeakKeyDictionary[Scene, _SceneViews] = WeakKeyDictionary()
 
@@ -113,8 +113,8 @@ class CameraViews:
         if "flow" in names and spec.step + 1 < self._plan.frames:
             next_spec = self._plan.frame(spec.index + self._plan.cameras)
             partners = replace(partners, flow=self.camera(next_spec, scene, visible))
-        if names & STEREO_OUTPUTS and recipe.camera.baseline_mm is not None:
-            stereo = _stereo_partner(self.camera(spec, scene, visible), recipe.camera.baseline_mm / 1e3)
+        if names & STEREO_OUTPUTS and recipe.camera.baseline_m is not None:
+            stereo = _stereo_partner(self.camera(spec, scene, visible), recipe.camera.baseline_m)
             partners = replace(partners, stereo=stereo)
         if names & DEPTH_CAMERA_OUTPUTS:
             partners = replace(partners, depth=self.depth_camera(spec, scene, visible))
@@ -195,10 +195,10 @@ class CameraViews:
         They have the longest exposure that they can have.
         """
         setup = self._setups.at(spec)
-        baseline_mm = setup.recipe.camera.baseline_mm
+        baseline_m = setup.recipe.camera.baseline_m
         cameras = [self._camera_at(spec, setup, view)]
-        if baseline_mm is not None:
-            cameras.append(_stereo_partner(cameras[0], baseline_mm / 1e3))
+        if baseline_m is not None:
+            cameras.append(_stereo_partner(cameras[0], baseline_m))
         cameras = [self._longest_exposure(spec, camera) for camera in cameras]
         depth_camera = self._depth_camera_at(setup, view)
         if depth_camera is not None:
@@ -208,14 +208,14 @@ class CameraViews:
     def _longest_exposure(self, spec: FrameSpec, camera: Camera) -> Camera:
         """The camera with the longest exposure that it can have in a frame."""
         control = self._setups.at(spec).recipe.exposure_control
-        return camera if control is None else replace(camera, exposure_s=control.exposure_us[1] / 1e6)
+        return camera if control is None else replace(camera, exposure_s=control.exposure_s[1])
 
     def _view(
         self, spec: FrameSpec, setup: FrameSetup, scene: Scene | None, visible: PointTest | None
     ) -> View:
         table, frames, where = setup.recipe.views, self._plan.frames, setup.recipe.name
         if not isinstance(table, RandomViews | FunctionViews):
-            return fixed_view(table, spec.step, frames, self._greenhouse(setup), where)
+            return fixed_view(table, spec.step, frames, setup.recipe.greenhouse or Greenhouse(), where)
         if scene is None:
             raise ValueError(f"views of the kind {table.kind} need a scene")
         of_scene, key = self._of_scene.setdefault(scene, _SceneViews()), (spec.moment, table)
@@ -246,7 +246,7 @@ class CameraViews:
         of_scene: _SceneViews,
     ) -> RandomView:
         from pepperscene.recipe.views.free_space import FreeSpace
-        from pepperscene.recipe.views.random_views import RandomView, random_view, random_view_settings
+        from pepperscene.recipe.views.random_views import RandomView, random_view
 
         if visible is None:
             raise ValueError("random views need a test of visibility")
@@ -256,10 +256,9 @@ class CameraViews:
         camera = self._setups.at(self._plan.first_of_moment(spec)).camera
         rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.moment)
         where = f"{self._setups.resolved.recipe.name}, frame {spec.index}"
-        settings = random_view_settings(table)
         earlier, coarse = of_scene.earlier.get((spec.moment, table)), of_scene.coarse
         return random_view(
-            settings,
+            table,
             scene,
             camera,
             rng,
@@ -295,7 +294,7 @@ class CameraViews:
 def check_further_cameras(recipe: Recipe, outputs: Iterable[str]) -> None:
     """Raise `InputError` if a recipe has no stereo partner or depth camera, and outputs need it."""
     needed = (
-        ("camera.baseline_mm", recipe.camera.baseline_mm, STEREO_OUTPUTS),
+        ("camera.baseline_mm", recipe.camera.baseline_m, STEREO_OUTPUTS),
         ("depth_camera", recipe.depth_camera, DEPTH_CAMERA_OUTPUTS),
     )
     for key, value, names in needed:

@@ -12,8 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel
-
 from pepperscene.document import extends_chain
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.recipe.recipe import FILE_FOLDERS, Recipe
@@ -24,6 +22,7 @@ from pepperscene.recipe.resolve.parse import parse_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe, load_files
 from pepperscene.recipe.variation.extract import table_model
 from pepperscene.shipped import find_file
+from pepperscene.units import table_fields
 
 _PATH_ENDINGS: Final = (".toml", ".yaml", ".yml", ".txt", ".csv", ".json", ".py")
 """Text with one of these endings is a path. Other text is one only if it has a folder; else it is a name."""
@@ -156,10 +155,10 @@ def _parse_value(key: str, text: str) -> Any:
 
 def _change_tables(key: str, value: Any) -> dict[str, Any]:
     """The tables of a recipe file that holds a single value; an unknown key is an error."""
-    model: type[BaseModel] | None = Recipe
+    model: Any = Recipe
     parts = key.split(".")
     for depth, part in enumerate(parts):
-        fields = {} if model is None else model.model_fields
+        fields = {} if model is None else table_fields(model)
         if part not in fields:
             above = ".".join(parts[:depth])
             allowed = f"allowed{f' in {above}' if above else ''} are {', '.join(fields)}"
@@ -167,7 +166,7 @@ def _change_tables(key: str, value: Any) -> dict[str, Any]:
             raise ArgumentError(_CHANGES, problem, key=key)
         if part in _CHECKED_LATER:
             break
-        model = table_model(fields[part].annotation)
+        model = table_model(fields[part])
     tables: Any = copy.deepcopy(value)
     for part in reversed(parts):
         tables = {part: tables}

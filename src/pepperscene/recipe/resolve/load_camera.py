@@ -11,17 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.errors import InputError
-from pepperscene.recipe.camera_tables import (
-    AUTO,
-    GENERIC_SENSOR,
-    INTRINSICS,
-    SIZE_KEYS,
-    CameraTable,
-    DevelopingTable,
-)
+from pepperscene.recipe.camera_tables import AUTO, GENERIC_SENSOR, INTRINSICS, SIZE_KEYS, CameraTable
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.tables import NONE, WhiteReferenceTable
+from pepperscene.recipe.tables import WhiteReferenceTable
 from pepperscene.recipe.views_tables import ArcViews, PathViews, PoseViews
+from pepperscene.units import NONE, file_values
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera, Lens, Projector, Sensor, WhiteReference
@@ -31,7 +25,7 @@ if TYPE_CHECKING:
 # and more. The pigments' absorption coefficients end at 2500 nm.
 GRID_STEP_NM: Final = 5.0
 MAX_WAVELENGTH_NM: Final = 2500.0
-_TYPICAL_EXPOSURE_US: Final = 1000.0
+_TYPICAL_EXPOSURE_S: Final = 1e-3
 """Placeholder until automatic exposure has set one. Chosen: only its order of magnitude matters, to decide
 what light can be neglected."""
 _LEAST_EFFICIENCY: Final = 1e-9
@@ -91,7 +85,7 @@ class NamedFiles:
 
 def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Camera:
     """Load the camera with the recipe's settings, without a pose; arguments and errors as of `load_files`."""
-    from pepperscene.camera import Camera, Developing, load_flash
+    from pepperscene.camera import Camera, load_flash
 
     where, table, files = where or recipe.name, recipe.camera, files or NamedFiles()
     calibration = _read_calibration(table, where, files)
@@ -102,26 +96,24 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
     # Checks that need several parts.
     if sensor.line_scan:
         _check_line_scan(recipe, where, sensor)
-    if table.focus_mm is not None and table.focus_mm <= 1e3 * lens.focal_length_m:
+    if table.focus_m is not None and table.focus_m <= lens.focal_length_m:
         problem = f"must be beyond the focal length of {lens.name}, {1e3 * lens.focal_length_m:g} mm"
-        raise InputError(where, problem, key="camera.focus_mm", value=table.focus_mm)
-    steps = recipe.developing.model_dump()
-    if steps["white_balance"] == "flash" and flash is None and sensor.pattern == "bands":
+        raise InputError(where, problem, key="camera.focus_mm", value=file_values(table)["focus_mm"])
+    developing = recipe.developing
+    if developing.white_balance == "flash" and flash is None and sensor.pattern == "bands":
         # Bands are not balanced, so a recipe that extends one with a flash needs no other value.
-        steps["white_balance"] = "daylight"
-    if steps["white_balance"] == "flash" and flash is None and sensor.channels > 1:
+        developing = replace(developing, white_balance="daylight")
+    if developing.white_balance == "flash" and flash is None and sensor.channels > 1:
         problem = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
         raise InputError(where, problem, key="camera.flash", value=NONE)
-    if steps["white_balance"] == NONE:
-        steps["white_balance"] = None
     try:
         return Camera(
             lens=lens,
             sensor=sensor,
-            exposure_s=(_TYPICAL_EXPOSURE_US if table.exposure_us == AUTO else table.exposure_us) / 1e6,
+            exposure_s=_TYPICAL_EXPOSURE_S if table.exposure_s == AUTO else table.exposure_s,
             flash=flash,
-            developing=Developing(**steps),
-            focus_m=None if table.focus_mm is None else table.focus_mm / 1e3,
+            developing=developing,
+            focus_m=table.focus_m,
             labels_per_row=table.labels_per_row is not False,
         )
     except InputError as error:
@@ -136,17 +128,18 @@ def _check_line_scan(recipe: Recipe, where: str | Path, sensor: Sensor) -> None:
     """Raise `InputError` if a line scanner is not used as one."""
     table, views, line_us = recipe.camera, recipe.views, 1e6 * sensor.line_time_s
     is_moving = isinstance(views, PathViews | PoseViews) and views.motion
-    is_moving |= isinstance(views, ArcViews) and views.speed_mm_s is not None
+    is_moving |= isinstance(views, ArcViews) and views.speed_m_s is not None
     if not is_moving:
         kinds = "a path, timed poses, or an arc with speed_mm_s"
         problem = f"must move the camera, as {sensor.name} is a line scanner: {kinds}"
         raise InputError(where, problem, key="views.kind", value=views.kind)
-    if table.exposure_us == AUTO:
+    if table.exposure_s == AUTO:
         problem = f"must be a time: automatic exposure does not know the lines of {sensor.name}"
         raise InputError(where, problem, key="camera.exposure_us", value=AUTO)
-    if table.exposure_us > line_us:
+    exposure_us = file_values(table)["exposure_us"]
+    if exposure_us > line_us:
         problem = f"must be at most {line_us:g}, the time from line to line of {sensor.name}"
-        raise InputError(where, problem, key="camera.exposure_us", value=table.exposure_us)
+        raise InputError(where, problem, key="camera.exposure_us", value=exposure_us)
     if table.labels_per_row is False:
         problem = f"must be true, as {sensor.name} is a line scanner"
         raise InputError(where, problem, key="camera.labels_per_row", value=False)
@@ -157,8 +150,8 @@ def white_reference(recipe: Recipe) -> WhiteReference:
     from pepperscene.camera import WhiteReference
 
     table = recipe.white_reference or WhiteReferenceTable()
-    distance_mm = recipe.views.subject_mm if table.distance_mm is None else table.distance_mm
-    return WhiteReference(table.reflectance, distance_mm / 1e3, table.facing)
+    distance_m = recipe.views.subject_m if table.distance_m is None else table.distance_m
+    return WhiteReference(table.reflectance, distance_m, table.facing)
 
 
 def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
@@ -285,9 +278,6 @@ def _at_size(sensor: Sensor, name: str, columns: int, rows: int) -> Sensor:
     return replace(sensor, columns=columns, rows=rows)
 
 
-_DEVELOPING: Final = DevelopingTable(white_balance="daylight")
-"""Depth cameras have no flash; everything else as by default."""
-
 _LEAST_DETECTED: Final = 1e-3
 """Chosen: of the highest quantum efficiency; less is the leak of a filter that blocks the projector."""
 
@@ -302,11 +292,11 @@ def load_depth_camera(
     table = recipe.depth_camera
     if table is None:
         return None
-    from pepperscene.camera import DepthCamera, StereoMatching, load_projector
+    from pepperscene.camera import DepthCamera, Developing, load_projector
 
     where, files = where or recipe.name, files or NamedFiles()
-    # The imagers are described as any camera is.
-    imager = recipe.model_copy(update={"camera": table, "developing": _DEVELOPING})
+    # The imagers are described as any camera is; they have no flash.
+    imager = recipe.model_copy(update={"camera": table, "developing": Developing(white_balance="daylight")})
     try:
         left = load_camera(imager, where, files)
     except InputError as error:
@@ -323,14 +313,12 @@ def load_depth_camera(
         key = "depth_camera.projector"
         projector = files.load(load_projector, where, key, table.projector)
         _check_detected(projector, left.sensor, where, key, table.projector)
-    settings = table.matching.model_dump()
-    settings["farthest_m"] = settings.pop("farthest_mm") / 1e3
     return DepthCamera(
         left=left,
-        baseline_m=table.baseline_mm / 1e3,
+        baseline_m=table.baseline_m,
         projector=projector,
-        matching=StereoMatching(**settings),
-        exposure_control=table.auto_exposure.control() if table.exposure_us == AUTO else None,
+        matching=table.matching,
+        exposure_control=table.auto_exposure.control() if table.exposure_s == AUTO else None,
     )
 
 

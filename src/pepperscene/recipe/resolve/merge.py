@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from pydantic import BaseModel
-
 from pepperscene.recipe.camera_tables import LENS_KEYS, SIZE_KEYS
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.tables import NONE
 from pepperscene.recipe.variation.extract import OVERRIDE, table_model
+from pepperscene.units import NONE, table_fields
 
 _SELECT: Final = "select"
 
@@ -69,9 +67,7 @@ def _table(tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def merge_tables(
-    base: Mapping[str, Any], over: Mapping[str, Any], model: type[BaseModel] | None
-) -> dict[str, Any]:
+def merge_tables(base: Mapping[str, Any], over: Mapping[str, Any], model: Any) -> dict[str, Any]:
     """Replace the values of `base` by those of `over`, table by table of a model."""
     merged = dict(base)
     for key, value in over.items():
@@ -81,8 +77,8 @@ def merge_tables(
         elif key == OVERRIDE and model is Recipe:
             merged[key] = _merge_override(below, value)
         else:
-            field = None if model is None else model.model_fields.get(key)
-            inner = None if field is None else table_model(field.annotation, {**below, **value})
+            annotation = None if model is None else table_fields(model).get(key)
+            inner = table_model(annotation, {**below, **value})
             is_table = inner is not None or key in _FREE_TABLES
             merged[key] = merge_tables(below, value, inner) if is_table else value
     return merged
@@ -106,13 +102,13 @@ def _merge_override(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[st
 
 def has_field(tables: Mapping[str, Any], key: tuple[str, ...]) -> bool:
     """Whether the models of a recipe with these tables have a dotted key."""
-    model: type[BaseModel] | None = Recipe
+    model: Any = Recipe
     for depth, part in enumerate(key):
         if key[0] == OVERRIDE and depth:
             # The keys of cultivar files are checked when one is loaded.
             return True
-        if model is None or part not in model.model_fields:
+        if model is None or part not in table_fields(model):
             return False
         tables = _table(tables, part)
-        model = table_model(model.model_fields[part].annotation, tables)
+        model = table_model(table_fields(model)[part], tables)
     return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -24,6 +24,7 @@ from pepperscene.recipe.variation.varied import (
     distinct_values,
 )
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews, ViewsTable
+from pepperscene.units import table_fields
 
 _NEAR_LOW: Final = 1e-5
 """Probability of a value near the lower limit. Some keys allow 0, or a minimum and more; a range from 0 is an
@@ -73,11 +74,7 @@ def _check_each(recipe: Recipe, varied: VariedInTurn, where: str) -> None:
     if len(values) <= MOST_CHECKED or varied.key[0] == OVERRIDE:
         return
     name = str(varied.key[0])
-    tables, field = recipe_tables(recipe), Recipe.model_fields[name]
-    allowed: Any = field.annotation
-    for rule in field.metadata:
-        allowed = Annotated[allowed, rule]
-    table = TypeAdapter[Any](allowed)
+    tables, table = recipe_tables(recipe), TypeAdapter[Any](table_fields(Recipe)[name])
     for value in values:
         set_value(tables, varied.key, value)
         try:

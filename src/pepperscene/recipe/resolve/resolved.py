@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 from pepperscene.errors import NEEDS_PERMISSION, InputError
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load_camera import NamedFiles, load_camera, load_depth_camera
-from pepperscene.recipe.tables import NONE, GrowthTable
+from pepperscene.recipe.tables import GrowthTable
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews
+from pepperscene.scene import Greenhouse
+from pepperscene.units import NONE, file_values
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera
@@ -208,13 +210,10 @@ def _fraction_of_time(growth: GrowthTable, first: Cultivar, last: Cultivar, wher
 
 def check_gutters(recipe: Recipe, where: str | Path) -> None:
     """Raise `InputError` if gutters overlap, of the two rows or on both sides of an aisle."""
-    greenhouse, row = recipe.greenhouse, recipe.row
-    if greenhouse is None or greenhouse.gutter_width_mm == 0:
-        return
-    limits = {"row.gap_mm": row.gap_mm} if row.plants_back else {}
-    for key, limit in {**limits, "greenhouse.aisle_mm": greenhouse.aisle_mm}.items():
-        if greenhouse.gutter_width_mm > limit:
+    row, greenhouse = file_values(recipe.row), file_values(recipe.greenhouse or Greenhouse())
+    width_mm = greenhouse["gutter_width_mm"]
+    limits = {"row.gap_mm": row["gap_mm"]} if recipe.row.plants_back else {}
+    for key, limit in {**limits, "greenhouse.aisle_mm": greenhouse["aisle_mm"]}.items():
+        if width_mm > limit:
             problem = f"must be at most {key}, {limit:g}, so that no two gutters overlap"
-            raise InputError(
-                where, problem, key="greenhouse.gutter_width_mm", value=greenhouse.gutter_width_mm
-            )
+            raise InputError(where, problem, key="greenhouse.gutter_width_mm", value=width_mm)

@@ -10,13 +10,12 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Final
 
-from pydantic import BaseModel
-
 from pepperscene.document import toml_key
 from pepperscene.errors import InputError
 from pepperscene.recipe.tables import PLANT_TABLES
 from pepperscene.recipe.variation.notation import parse_varied
 from pepperscene.recipe.variation.varied import Key, Kind, Level, Varied
+from pepperscene.units import is_table, table_fields
 
 OVERRIDE: Final = "override"
 """Table of changed values of the cultivar file, in which only tables with the key `per` are varied values."""
@@ -26,7 +25,7 @@ FIXED: Final = {"name", "seed", "plan", "expect", "twins", "rig"}
 
 
 def extract_varied(
-    table: Mapping[str, Any], model: type[BaseModel], where: str
+    table: Mapping[str, Any], model: Any, where: str
 ) -> tuple[dict[str, Any], tuple[Varied, ...]]:
     """Separate a recipe's table into one with typical values and the varied values.
 
@@ -68,25 +67,23 @@ def set_value(tables: Any, key: Key, value: Any) -> None:
     tables[last] = value
 
 
-def _value_tables(
-    table: Any, model: type[BaseModel] | None, above: Key = ()
-) -> Iterator[tuple[Key, dict[str, Any], Any]]:
+def _value_tables(table: Any, model: Any, above: Key = ()) -> Iterator[tuple[Key, dict[str, Any], Any]]:
     """Yield the key, the table and the type of each value that is given as a table."""
     for name, value in table.items():
         key: Key = (*above, name)
-        field = None if model is None else model.model_fields.get(name)
+        annotation = None if model is None else table_fields(model).get(name)
         if key == (OVERRIDE,) and isinstance(value, dict):
             yield from _override_tables(value, key)
-        elif field is None:
+        elif annotation is None:
             continue  # an unknown key, which is reported by the validation
         elif isinstance(value, dict):
-            below = table_model(field.annotation, value)
+            below = table_model(annotation, value)
             if below is not None:
                 yield from _value_tables(value, below, key)
-            elif not _holds_tables(field.annotation):
-                yield key, value, None if _is_list(field.annotation) else field.annotation
+            elif not _holds_tables(annotation):
+                yield key, value, None if _is_list(annotation) else annotation
         elif isinstance(value, list):
-            yield from _list_tables(value, field.annotation, key)
+            yield from _list_tables(value, annotation, key)
 
 
 def _list_tables(values: list[Any], annotation: Any, above: Key) -> Iterator[tuple[Key, dict[str, Any], Any]]:
@@ -129,12 +126,11 @@ def _integer_keys() -> frozenset[str]:
     from pepperscene.cultivar.slot import Slot
     from pepperscene.cultivar.structure import Stem
 
-    models: list[type[BaseModel]] = [Stem, Slot, *MODELS.values()]
-    fields = ((name, field) for model in models for name, field in model.model_fields.items())
-    return frozenset(name for name, field in fields if set(_plain_types(field.annotation)) == {int})
+    fields = (item for model in (Stem, Slot, *MODELS.values()) for item in table_fields(model).items())
+    return frozenset(name for name, annotation in fields if set(_plain_types(annotation)) == {int})
 
 
-def table_model(annotation: Any, value: Any = None) -> type[BaseModel] | None:
+def table_model(annotation: Any, value: Any = None) -> Any:
     """The model of a field that holds a table, optional or not; None for single values.
 
     Of several models with a key `kind`, it is the one of the value's kind.
@@ -144,14 +140,14 @@ def table_model(annotation: Any, value: Any = None) -> type[BaseModel] | None:
         return models[0] if models else None
     kind = value.get("kind") if isinstance(value, dict) else None
     for model in models:
-        if kind in typing.get_args(model.model_fields["kind"].annotation):
+        if kind in typing.get_args(table_fields(model)["kind"]):
             return model
     return None
 
 
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+def _models(annotation: Any) -> Iterator[type[Any]]:
     """The models in a type, outside of containers."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if is_table(annotation):
         yield annotation
     elif typing.get_origin(annotation) not in (tuple, list, dict):
         for part in typing.get_args(annotation):
@@ -162,7 +158,7 @@ def _holds_tables(annotation: Any) -> bool:
     """Whether a type is a model, a table of free keys, or a container of them."""
     if annotation is dict or typing.get_origin(annotation) is dict:
         return True
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if is_table(annotation):
         return True
     return any(_holds_tables(part) for part in typing.get_args(annotation))
 

@@ -82,26 +82,17 @@ def _views(
 
     match table:
         case ArcViews():
-            first, last = (float(angle) for angle in np.radians(table.azimuth_deg))
-            poses = arc_path(
-                frames,
-                table.distance_mm / 1e3,
-                (first, last),
-                (table.height_mm[0] / 1e3, table.height_mm[1] / 1e3),
-                float(np.radians(table.pitch_deg)),
-            )
+            poses = arc_path(frames, table.distance_m, table.azimuth_rad, table.height_m, table.pitch_rad)
         case ProtocolViews():
-            distances, azimuths = np.array(table.distance_mm) / 1e3, np.radians(table.azimuth_deg)
-            poses = protocol_poses(
-                distances, azimuths, table.height_mm / 1e3, float(np.radians(table.pitch_deg))
-            )
+            distances, azimuths = np.array(table.distance_m), np.array(table.azimuth_rad)
+            poses = protocol_poses(distances, azimuths, table.height_m, table.pitch_rad)
         case GridViews():
             poses = grid_poses(
-                np.array(table.x_mm) / 1e3,
-                np.array(table.distance_mm) / 1e3,
-                np.array(table.height_mm) / 1e3,
-                np.radians(table.azimuth_deg),
-                np.radians(table.pitch_deg),
+                np.array(table.x_m),
+                np.array(table.distance_m),
+                np.array(table.height_m),
+                np.array(table.azimuth_rad),
+                np.array(table.pitch_rad),
             )
         case PathViews():
             trajectory = _path(table, frames, where)
@@ -115,9 +106,9 @@ def _views(
             raise TypeError(f"{type(table).__name__} depends on the scene")
     # Keep the distance from the row, wherever the row leans at the camera's height.
     poses[:, 1, 3] -= [greenhouse.lean_offset_m(float(height)) for height in poses[:, 2, 3]]
-    if isinstance(table, ArcViews) and table.speed_mm_s is not None and len(poses) > 1:
+    if isinstance(table, ArcViews) and table.speed_m_s is not None and len(poses) > 1:
         lengths = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-        times = np.concatenate([[0.0], np.cumsum(lengths)]) / (table.speed_mm_s / 1e3)
+        times = np.concatenate([[0.0], np.cumsum(lengths)]) / table.speed_m_s
         # A camera that does not move along its arc takes sharp photographs.
         if not too_close(times).any():
             return poses, _velocities(trajectory_from_poses(poses, times))
@@ -128,16 +119,16 @@ def _path(table: PathViews, frames: int | None, where: str) -> Trajectory:
     from pepperscene.camera.poses.trajectory import spline_trajectory
 
     rate = table.frame_rate_hz
-    look_at = None if table.look_at_mm is None else np.array(table.look_at_mm) / 1e3
+    look_at = None if table.look_at_m is None else np.array(table.look_at_m)
     try:
         return spline_trajectory(
-            np.array(table.points_mm) / 1e3,
-            table.speed_mm_s / 1e3,
+            np.array(table.points_m),
+            table.speed_m_s,
             count=frames if rate is None else None,
             frame_interval_s=None if rate is None else 1.0 / rate,
             look_at_m=look_at,
-            azimuth_rad=None if look_at is not None else float(np.radians(table.azimuth_deg)),
-            pitch_rad=None if look_at is not None else float(np.radians(table.pitch_deg)),
+            azimuth_rad=None if look_at is not None else table.azimuth_rad,
+            pitch_rad=None if look_at is not None else table.pitch_rad,
         )
     except ValueError as error:
         raise InputError(where, f"gives no path: {error}", key="views.points_mm") from None

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf, isfinite, pi, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.errors import ArgumentError, InputError
+from pepperscene.errors import InputError
 from pepperscene.recipe.views.aim import aimed_rotations, directions, image_rays
 from pepperscene.recipe.views.free_space import FreeSpace
 from pepperscene.recipe.views.targets import Target, organ_target, point_target, target_instances
@@ -24,86 +23,14 @@ if TYPE_CHECKING:
     from pepperscene.scene import Scene
 
 FloatArray = NDArray[np.float64]
-Point = tuple[float, float, float]
 Limits = tuple[float, float]
 """Lowest and highest value."""
 
+_ATTEMPTS: Final = 2000  # chosen: if one candidate in 200 is a view, one search of 20,000 finds none
 _BLOCKS: Final = (4, 64)
 """Chosen: candidates tested together, at first and at most. Usually one in two to one in ten is a view, and
 many together take less time for each."""
 _NUMBERS: Final = 7  # random numbers for each candidate
-
-
-@dataclass(frozen=True)
-class RandomViewSettings:
-    """Limits of random views; `random_view_settings` takes them from a recipe.
-
-    Attributes:
-        target: one of `FRUIT_TARGETS`, the name of an organ kind or of a class of the labelled plants, or a
-            point (x, y, z), metres.
-        distance_m: from the projection centre to the target's centroid.
-        elevation_rad: of the camera seen from the target, positive above it.
-        azimuth_rad: of the camera around the target, 0 in front of the row (at -y), positive towards +x.
-        volume_m: lowest and highest x, y and z of the projection centre; None for no limits.
-        roll_rad: rotation about the optical axis from level rows, clockwise seen from behind the camera.
-        offset: distance of the target from the image's centre, in halves of its width and height: 0 is the
-            centre, 1 the ellipse that touches the borders.
-        clearance_m: no surface is nearer to the projection centre; never less than the lens' pupil.
-        least_visibility: fraction, from 0 to 1, of what the camera would see of the target alone that is in
-            the image and not hidden.
-        attempts: candidates after which the search ends. Chosen: if one candidate in 200 is a view, the
-            default finds none in one search of 20,000.
-
-    Directions are uniform in solid angle, distances and rolls are uniform, and so are places over the area of
-    the image.
-
-    Raises:
-        ArgumentError: a limit is not finite, reversed, or outside its range.
-    """
-
-    target: str | Point
-    distance_m: Limits
-    elevation_rad: Limits
-    azimuth_rad: Limits
-    volume_m: tuple[Limits, Limits, Limits] | None
-    roll_rad: Limits
-    offset: Limits
-    clearance_m: float
-    least_visibility: float
-    attempts: int = 2000
-
-    def __post_init__(self) -> None:
-        _check_limits("distance_m", self.distance_m, 0.0, inf)
-        _check_limits("elevation_rad", self.elevation_rad, -pi / 2, pi / 2)
-        _check_limits("azimuth_rad", self.azimuth_rad, -2 * pi, 2 * pi)
-        _check_limits("roll_rad", self.roll_rad, -pi, pi)
-        _check_limits("offset", self.offset, 0.0, 1.0)
-        _check_limits("clearance_m", (self.clearance_m, self.clearance_m), 0.0, inf)
-        _check_limits("least_visibility", (self.least_visibility, self.least_visibility), 0.0, 1.0)
-        for limits in self.volume_m or ():
-            _check_limits("volume_m", limits, -inf, inf)
-        if not self.distance_m[0] > 0.0:
-            raise ArgumentError("distance_m", "must be above 0", value=list(self.distance_m))
-        if self.attempts < 1:
-            raise ArgumentError("attempts", "must be at least 1", value=self.attempts)
-        if not isinstance(self.target, str) and not np.isfinite(self.target).all():
-            raise ArgumentError("target", "must be finite", value=list(self.target))
-
-
-def random_view_settings(table: RandomViews) -> RandomViewSettings:
-    """The limits of a recipe's random views in metres and radians."""
-    target, volume = table.target, table.volume_mm
-    return RandomViewSettings(
-        target=target if isinstance(target, str) else (target[0] / 1e3, target[1] / 1e3, target[2] / 1e3),
-        distance_m=_metres(table.distance_mm),
-        elevation_rad=_radians(table.elevation_deg),
-        azimuth_rad=_radians(table.azimuth_deg),
-        volume_m=None if volume is None else (_metres(volume[0]), _metres(volume[1]), _metres(volume[2])),
-        roll_rad=_radians(table.roll_deg),
-        offset=table.offset,
-        clearance_m=table.clearance_mm / 1e3,
-        least_visibility=table.least_visibility,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +54,7 @@ class RandomView:
 
 
 def random_view(
-    settings: RandomViewSettings,
+    settings: RandomViews,
     scene: Scene,
     camera: Camera,
     rng: np.random.Generator,
@@ -137,6 +64,7 @@ def random_view(
     *,
     rejected: Callable[[FloatArray], bool] | None = None,
     earlier: RandomView | None = None,
+    attempts: int = _ATTEMPTS,
 ) -> RandomView:
     """Draw a random view of a scene.
 
@@ -152,17 +80,18 @@ def random_view(
         where: name of the recipe that the settings are from, for errors.
         rejected: whether a `(4, 4)` pose shows coarse plants from near, which is a limit too.
         earlier: a view that is kept if it is within all limits.
+        attempts: candidates after which the search ends.
 
     Raises:
         InputError: the scene has no such target, or no candidate is within all limits.
     """
     search = _Search(settings, scene, camera, free_space or FreeSpace(scene.mesh), where)
 
-    def test(candidates: _Candidates, row: int, failed: str, attempts: int) -> RandomView | str:
+    def test(candidates: _Candidates, row: int, failed: str, number: int) -> RandomView | str:
         """The view of a candidate, or the limit that it fails."""
         if failed:
             return failed
-        view = search.view(candidates, row, attempts, visible)
+        view = search.view(candidates, row, number, visible)
         if view.visibility < settings.least_visibility:
             return f"showed less than least_visibility = {settings.least_visibility:g} of the target"
         if rejected is not None and rejected(view.pose):
@@ -176,9 +105,9 @@ def random_view(
             return kept
     reasons: Counter[str] = Counter()
     first, block = 0, _BLOCKS[0]
-    while first < settings.attempts:
+    while first < attempts:
         # Always draw a whole block, so that the number of attempts does not change the views.
-        candidates = search.draw(block, rng).rows(slice(settings.attempts - first))
+        candidates = search.draw(block, rng).rows(slice(attempts - first))
         for row, failed in enumerate(search.failed_limits(candidates)):
             found = test(candidates, row, failed, first + row + 1)
             if isinstance(found, RandomView):
@@ -186,7 +115,7 @@ def random_view(
             reasons[found] += 1
         first, block = first + block, min(2 * block, _BLOCKS[1])
     counts = ", ".join(f"{number:,} {failed}" for failed, number in reasons.most_common())
-    raise InputError(where, f"no view found in {settings.attempts:,} attempts: {counts}")
+    raise InputError(where, f"no view found in {attempts:,} attempts: {counts}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +135,7 @@ class _Search:
     """Draws candidates for the views of a scene, and tests what needs no rays."""
 
     def __init__(
-        self, settings: RandomViewSettings, scene: Scene, camera: Camera, space: FreeSpace, where: str | Path
+        self, settings: RandomViews, scene: Scene, camera: Camera, space: FreeSpace, where: str | Path
     ) -> None:
         self._settings, self._camera, self._space, self._mesh = settings, camera, space, scene.mesh
         self._targets: dict[int, Target] = {}
@@ -302,22 +231,6 @@ class _Search:
         return self._targets[instance]
 
 
-def _metres(limits_mm: Limits) -> Limits:
-    return limits_mm[0] / 1e3, limits_mm[1] / 1e3
-
-
-def _radians(limits_deg: Limits) -> Limits:
-    return radians(limits_deg[0]), radians(limits_deg[1])
-
-
 def _between(limits: Limits, fraction: FloatArray) -> FloatArray:
     """Values at fractions of the way from the lowest to the highest; never outside by rounding."""
     return np.clip(limits[0] + fraction * (limits[1] - limits[0]), *limits)
-
-
-def _check_limits(name: str, limits: Limits, least: float, most: float) -> None:
-    """Raise `ArgumentError` if limits are not finite, reversed, or outside [least, most]."""
-    low, high = limits
-    if not (isfinite(low) and isfinite(high) and least <= low <= high <= most):
-        allowed = "" if (least, most) == (-inf, inf) else f" from {least:g} to {most:g}"
-        raise ArgumentError(name, f"must be finite, the lower limit first{allowed}", value=[low, high])

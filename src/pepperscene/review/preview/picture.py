@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.recipe.plan import Stream, random_generator
 from pepperscene.recipe.resolve.frame_setups import FrameSetup
-from pepperscene.recipe.views.random_views import RandomViewSettings
+from pepperscene.recipe.views_tables import RandomViews
 from pepperscene.review.preview.places import CameraPlaces
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def _title(name: str, places: CameraPlaces) -> str:
     return f"{text}, views that depend on the plants, which were not grown"
 
 
-def _middle(rows: RowGeometry, limits: RandomViewSettings) -> Array:
+def _middle(rows: RowGeometry, limits: RandomViews) -> Array:
     """`(3,)` the point that the limits of random views are drawn around: the target, or where one can be."""
     if not isinstance(limits.target, str):
         return np.array(limits.target)
@@ -232,7 +232,7 @@ def _draw_places(axes: Axes, places: CameraPlaces, plane: list[int], arrow_in: f
             axes.quiver(x, y, u, v, angles="xy", color=colour, alpha=alpha, zorder=4, **style)
 
 
-def _draw_limits(top: Axes, side: Axes, limits: RandomViewSettings, middle: Array) -> None:
+def _draw_limits(top: Axes, side: Axes, limits: RandomViews, middle: Array) -> None:
     """The sectors that cameras are drawn in around one target, and the limits of their places."""
     from matplotlib.patches import Rectangle, Wedge
 

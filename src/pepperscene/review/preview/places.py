@@ -14,7 +14,6 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.resolve.frame_setups import camera_name
-from pepperscene.recipe.views.random_views import RandomViewSettings, random_view_settings
 from pepperscene.recipe.views.targets import organ_centroid, target_instances
 from pepperscene.recipe.views_tables import PathViews, RandomViews
 
@@ -53,7 +52,7 @@ class CameraPlaces:
     selected: NDArray[np.bool_]
     targets: Array
     target_name: str = ""
-    limits: RandomViewSettings | None = None
+    limits: RandomViews | None = None
 
 
 def scene_places(renderer: FrameRenderer, indices: Sequence[int], *, grown: bool) -> CameraPlaces:
@@ -76,13 +75,13 @@ def scene_places(renderer: FrameRenderer, indices: Sequence[int], *, grown: bool
     table, limits = setup.recipe.views, None
     targets, target_name = np.zeros((0, 3)), ""
     if isinstance(table, RandomViews):
-        limits = random_view_settings(table)
+        limits = table
         if not isinstance(limits.target, str):
             targets, target_name = np.array([limits.target]), "target"
         elif renderer.current_scene is not None:
             targets, target_name = _organ_targets(renderer, specs, renderer.current_scene)
-    elif isinstance(table, PathViews) and table.look_at_mm is not None:
-        targets, target_name = np.array([table.look_at_mm]) / 1e3, "target"
+    elif isinstance(table, PathViews) and table.look_at_m is not None:
+        targets, target_name = np.array([table.look_at_m]), "target"
     return CameraPlaces(
         spec=spec,
         poses=np.array(poses).reshape(-1, 4, 4),

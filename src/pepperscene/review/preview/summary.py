@@ -16,6 +16,7 @@ from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.recipe.rig import FIRST_CAMERA
 from pepperscene.recipe.tables import PLANT_TABLES
 from pepperscene.recipe.views.aim import image_rays
+from pepperscene.units import file_values
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -137,7 +138,7 @@ def summarise_plan(resolved: ResolvedRecipe, indices: Sequence[int]) -> PlanSumm
         name=recipe.name,
         seed=recipe.seed,
         frames=frames,
-        views=recipe.views.model_dump(mode="json", exclude_none=True),
+        views=file_values(recipe.views, mode="json", exclude_none=True),
         cameras=tuple(_summarise_camera(resolved, number) for number in range(plan.cameras)),
         varied=_summarise_variation(recipe),
         twins=dict(recipe.twins),
@@ -205,7 +206,7 @@ def _summarise_camera(resolved: ResolvedRecipe, number: int) -> CameraSummary:
         name, replaced = member.name, set(member.camera)
         recipe = changed_recipe(recipe, [], recipe.name, number)
         camera = load_camera(recipe, recipe.name)
-    control, exposure_us = recipe.exposure_control, recipe.camera.exposure_us
+    control, exposure_us = recipe.exposure_control, file_values(recipe.camera)["exposure_us"]
     varied = [
         varied.name
         for varied in resolved.recipe.variation
@@ -218,7 +219,7 @@ def _summarise_camera(resolved: ResolvedRecipe, number: int) -> CameraSummary:
         height=camera.height,
         hfov_deg=horizontal_field_deg(camera),
         exposure_us=exposure_us if isinstance(exposure_us, float | int) else None,
-        auto_exposure=None if control is None else control.model_dump(mode="json"),
+        auto_exposure=None if control is None else file_values(control, mode="json"),
         varied=tuple(varied),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import date
 from typing import TYPE_CHECKING, Any, Final
 
@@ -80,6 +81,5 @@ def grow_row(resolved: ResolvedRecipe, spec: FrameSpec) -> Mesh:
     recipe = setup.recipe
     if recipe.greenhouse is not None:
         # Plants do not depend on the far rows.
-        bare = recipe.greenhouse.model_copy(update={"far_rows": 0})
-        recipe = recipe.model_copy(update={"greenhouse": bare})
+        recipe = recipe.model_copy(update={"greenhouse": replace(recipe.greenhouse, far_rows=0)})
     return SceneBuilder(recipe, setup.cultivar).scene(spec.set, spec.rotation).mesh
