@@ -698,13 +698,12 @@ def recipe() -> Image.Image:
     axes.set(xlim=(-0.78, 0.78), ylim=(-0.62, 0.42))
     axes.set_aspect("equal")
     row, views = table.row, table.views
-    spacing = row.spacing_mm / 1000
+    spacing = row.spacing_m
     front = (np.arange(row.plants_front) - (row.plants_front - 1) / 2) * spacing
     back = (np.arange(row.plants_back) - (row.plants_back - 1) / 2) * spacing
-    for places, depth in ((front, 0.0), (back, row.gap_mm / 1000)):
+    for places, depth in ((front, 0.0), (back, row.gap_m)):
         axes.scatter(places, np.full(len(places), depth), s=95, c="#8fc07c", ec=GREEN, lw=0.8, zorder=3)
-    azimuth = np.radians(views.azimuth_deg)
-    poses = ps.arc_path(60, views.distance_mm / 1000, tuple(azimuth), (1.0, 1.0), 0.0)
+    poses = ps.arc_path(60, views.distance_m, views.azimuth_rad, (1.0, 1.0), 0.0)
     axes.plot(*poses[:, :2, 3].T, color=ORANGE, lw=1.6)
     for pose in (poses[0], poses[30], poses[-1]):
         start, forward = pose[:2, 3], pose[:2, 2]
@@ -715,9 +714,9 @@ def recipe() -> Image.Image:
         0, -0.53, f"camera path, {table.plan.frames} frames", ha="center", fontsize=FONT_PT, color=ORANGE
     )
     axes.annotate("", (spacing, 0.09), (0, 0.09), arrowprops={"arrowstyle": "<->", "lw": 0.7, "color": INK})
-    label = f"{row.spacing_mm:g} mm"
+    label = f"{1e3 * row.spacing_m:g} mm"
     axes.text(spacing + 0.02, 0.09, label, ha="left", va="center", fontsize=FONT_PT - 0.5, color=INK)
-    axes.text(-0.04, -0.14, f"{views.distance_mm:g} mm", ha="left", fontsize=FONT_PT - 0.5, color=INK)
+    axes.text(-0.04, -0.14, f"{1e3 * views.distance_m:g} mm", ha="left", fontsize=FONT_PT - 0.5, color=INK)
     axes.plot([0, poses[10, 0, 3]], [0, poses[10, 1, 3]], ":", color=INK, lw=0.8)
     return drawn(figure)
 

@@ -8,10 +8,11 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from pepperscene.errors import InputError
 from pepperscene.shipped import ShippedFolder, find_file
@@ -53,7 +54,7 @@ class Document(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
 
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -177,15 +178,21 @@ def _is_plain(part: str) -> bool:
 
 
 def validate(model: type[Model], data: Mapping[str, Any], where: str | Path) -> Model:
-    """Validate `data` as a `model`.
+    """Validate `data` as a `model`, a pydantic model or a data class.
 
     Raises:
         InputError: for the first error, with its dotted key and value.
     """
     try:
-        return model.model_validate(data)
+        kind: Any = model
+        return cast("Model", _adapter(kind).validate_python(data))
     except ValidationError as error:
         raise _as_input_error(error, data, where) from None
+
+
+@cache
+def _adapter(model: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(model)
 
 
 def _as_input_error(error: ValidationError, data: Any, where: str | Path) -> InputError:

@@ -166,5 +166,6 @@ def _adapter(table: Any) -> TypeAdapter[Any]:
 
 def file_values(table: Any, **options: Any) -> dict[str, Any]:
     """The values of a table as in a file; `options` are those of pydantic's `dump_python`."""
-    values: dict[str, Any] = _adapter(type(table)).dump_python(table, **options)
+    kind: Any = type(table)
+    values: dict[str, Any] = _adapter(kind).dump_python(table, **options)
     return values

@@ -213,10 +213,10 @@ def test_shipped_devices_have_the_published_field_of_view(device, size, hfov_deg
 
 
 def test_shipped_stereo_pair_has_the_published_order_and_baseline():
-    left, right = (camera.position_mm for camera in load_recipe("realsense").rig)
+    left, right = (camera.position_m for camera in load_recipe("realsense").rig)
     # To the right of the colour camera: the left infrared camera, and 50 mm further the right one.
     assert 0 < left[0] < right[0]
-    assert np.subtract(right, left).tolist() == [50, 0, 0]
+    assert np.subtract(right, left) == pytest.approx([0.05, 0, 0])
 
 
 def test_phone_camera_has_12_megapixels_and_77_degrees():

@@ -135,7 +135,7 @@ def table_model(annotation: Any, value: Any = None) -> Any:
 
     Of several models with a key `kind`, it is the one of the value's kind.
     """
-    models = list(_models(annotation))
+    models: list[Any] = list(_models(annotation))
     if len(models) < 2:
         return models[0] if models else None
     kind = value.get("kind") if isinstance(value, dict) else None
