@@ -47,7 +47,7 @@ def recipe_facts(info: Mapping[str, Any]) -> dict[str, str]:
     if not is_varied(info, "row.spacing_mm"):
         spacing = f"{row['spacing_mm']:g} mm apart"
     exposure = "automatic" if exposure == AUTO else f"{exposure:g} µs"
-    daylight = f"{recipe.get('daylight', {'illuminance_lx': 0})['illuminance_lx']:,.0f} lx"
+    daylight = f"{(recipe.get('daylight') or {'illuminance_lx': 0})['illuminance_lx']:,.0f} lx"
     return {
         "Quality": info["quality"],
         "Seed": recipe["seed"],
