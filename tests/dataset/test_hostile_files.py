@@ -11,6 +11,9 @@ from pathlib import Path
 import pytest
 from hostile_files import CONTENTS, SET_FILES, TARGETS
 
+from pepperscene.camera.optics.calibration import read_calibration
+from pepperscene.camera.pose_files.formats import read_poses
+from pepperscene.dataset.readers.pictures import read_photo
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError, PepperError
 from pepperscene.recipe.resolve.load import load_recipe
@@ -45,10 +48,12 @@ def outcomes(tmp_path_factory, small):
     return {line["name"]: line for line in lines}
 
 
+@pytest.mark.long
 def test_no_case_ends_in_another_error(outcomes):
     assert [case for case in outcomes.values() if "fault" in case] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("target", NAMED)
 def test_a_file_that_a_user_names_must_be_regular_and_not_too_long(outcomes, target):
     cases = {name: case for name, case in outcomes.items() if name.startswith(target)}
@@ -57,6 +62,7 @@ def test_a_file_that_a_user_names_must_be_regular_and_not_too_long(outcomes, tar
         assert is_sentence(case.get("error")), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTENTS)
 def test_content_that_expands_gives_one_sentence(outcomes, name):
     message = outcomes[name]["error"]
@@ -64,6 +70,7 @@ def test_content_that_expands_gives_one_sentence(outcomes, name):
     assert is_sentence(message)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("target", DAMAGED)
 @pytest.mark.parametrize("file", SET_FILES)
 def test_check_names_a_file_of_a_set_that_is_no_file_of_it(outcomes, target, file):
@@ -75,12 +82,14 @@ def test_check_names_a_file_of_a_set_that_is_no_file_of_it(outcomes, target, fil
     assert any(file in finding and reason in finding for finding in findings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("file", FOLDERS)
 def test_check_names_files_in_a_folder_that_is_elsewhere(outcomes, file):
     case = outcomes[f"check with outside_folder as {file}"]
     assert any(file in finding and "leads out of" in finding for finding in case["result"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("operation", READ_BY)
 def test_what_needs_the_file_gives_one_sentence(outcomes, operation):
     for target in (*DAMAGED, "outside_folder"):
@@ -89,6 +98,26 @@ def test_what_needs_the_file_gives_one_sentence(outcomes, operation):
                 continue
             case = outcomes[f"{operation} with {target} as {file}"]
             assert is_sentence(case.get("error")), f"{operation}, {target}, {file}: {case}"
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_what_is_no_regular_file_or_too_long_is_refused(target, tmp_path):
+    path = tmp_path / "a.toml"
+    target(path)
+    reason = "longer than|Is a directory" if target.__name__ in ("sparse", "folder") else "regular file"
+    for read in (read_toml, read_photo):
+        with pytest.raises(InputError, match=reason):
+            read(path)
+
+
+@pytest.mark.parametrize("name", ["aliases.yaml", "deep.json", "key.toml"])
+def test_content_that_expands_is_refused(name, tmp_path):
+    path = tmp_path / name
+    path.write_text(CONTENTS[name])
+    read = {".yaml": read_calibration, ".json": read_poses, ".toml": read_toml}[path.suffix]
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert is_sentence(str(caught.value))
 
 
 @pytest.mark.parametrize("name", ["class", "frames", "dataset.json", "frames/000000.json"])

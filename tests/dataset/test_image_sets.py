@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from data_sets import FRAMES
 
-from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import FIELDS, VOID, ImageSet, LabelledImage
 from pepperscene.dataset.readers.torch_images import torch_images
@@ -74,11 +73,6 @@ def test_size_is_that_of_any_array():
     image = LabelledImage("one", None, None, distance_m=np.zeros((4, 5), np.float32))
     assert image.size == (4, 5)
     assert pickle.loads(pickle.dumps(image)).size == (4, 5)
-
-
-def test_void_is_not_a_class():
-    assert VOID not in {int(organ) for organ in OrganClass}
-    assert np.iinfo(np.uint8).max >= VOID
 
 
 ALL = ("image", "mask", "instances", "distance")
@@ -160,14 +154,6 @@ def test_masks_of_photographs_are_training_targets(torch, tmp_path):
         torch_images(images, ("image", "distance"))[0]
     with pytest.raises(InputError, match="splits: need frame indices"):
         torch_images(images, splits=Splits())
-
-
-def test_rejects_invalid_arguments(small):
-    allowed = "image, mask, instances, distance, depth_z, depth_sensor, .*"
-    with pytest.raises(InputError, match=f"must be some of {allowed}, not depth"):
-        torch_images(small.folder, ("image", "depth"))
-    with pytest.raises(InputError, match="must be float32 or uint8, not 'int8'"):
-        torch_images(small.folder, dtype="int8")
 
 
 def test_missing_torch_is_a_setup_error(small, monkeypatch):

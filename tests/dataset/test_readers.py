@@ -350,17 +350,6 @@ def test_rejects_invalid_table(table, message):
         parse_labels(table, "labels")
 
 
-def test_photograph_is_rotated_by_its_exif_orientation(tmp_path):
-    upright = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
-    exif = Image.Exif()
-    exif[0x0112] = 6  # rotate by a quarter to the right
-    Image.fromarray(np.rot90(upright, 1)).save(tmp_path / "a.png", exif=exif)
-    save(tmp_path, "a_mask.png", grey(1))
-    image = open_images(tmp_path, labels=FRUIT)[0]
-    np.testing.assert_array_equal(image.colour, upright)
-    assert image.size == (6, 8)
-
-
 def test_grey_and_transparent_photographs_become_rgb(tmp_path):
     save(tmp_path, "a.png", grey(90))
     assert (open_images(tmp_path)[0].colour == 90).all()

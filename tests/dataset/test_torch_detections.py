@@ -187,17 +187,9 @@ def test_image_id_is_the_position_also_from_the_end():
         ({"classes": ("pepper", "apple")}, "classes: must be some of .*, not pepper, apple"),
         ({"classes": ("pepper", 2)}, "each once, not pepper, 2"),
         ({"classes": (255,)}, "classes: must be some of .*, not 255"),
-        ({"classes": (2.5,)}, "classes: must be some of .*, not 2.5"),
-        ({"classes": (None,)}, "classes: must be some of .*, not None"),
         ({"classes": None}, "classes: must be some of .*, not None"),
         ({"min_pixels": 0}, "min_pixels: must be an integer from 1, not 0"),
         ({"min_pixels": 1.5}, "min_pixels: must be an integer from 1, not 1.5"),
-        ({"dtype": "float16"}, "dtype: must be float32 or uint8, not 'float16'"),
-        ({"tensors": "numpy"}, "tensors: must be auto, plain, tv, not 'numpy'"),
-        ({"seed": -1}, "seed: must be an integer from 0, or None, not -1"),
-        ({"augmentation": Halve()}, "augmentation: must be an Augmentation, not Halve"),
-        ({"transform": "flip"}, "transform: must be a function, not 'flip'"),
-        ({"source": memory_set(labelled([[2]], [[1]])), "splits": object()}, "splits: need frame indices"),
     ],
 )
 def test_invalid_arguments_are_one_sentence(arguments, message):

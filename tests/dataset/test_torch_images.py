@@ -87,7 +87,7 @@ def test_random_numbers_depend_on_seed_epoch_and_position_only():
     assert are_equal(samples_of(dataset), expected)
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", ["fork", pytest.param("spawn", marks=pytest.mark.long)])
 def test_set_epoch_reaches_persistent_workers(method):
     if method not in torch.multiprocessing.get_all_start_methods():
         pytest.skip(f"the system cannot start processes by {method}")
@@ -350,11 +350,6 @@ def test_samples_are_tv_tensors(tv_tensors, tensors):
     assert type(target["labels"]) is torch.Tensor
 
 
-def test_canvas_is_that_of_the_augmented_image(tv_tensors):
-    samples = torch_detections(coded_set(2), augmentation=STANDARD, seed=1)
-    assert samples[0][1]["boxes"].canvas_size == (24, 32)
-
-
 def test_tv_tensors_have_the_values_of_plain_ones(tv_tensors):
     values = {}
     for tensors in ("plain", "tv"):
@@ -362,11 +357,11 @@ def test_tv_tensors_have_the_values_of_plain_ones(tv_tensors):
         values[tensors] = dataset[1]
     for key in ALL:
         np.testing.assert_array_equal(values["tv"][key].numpy(), values["plain"][key].numpy())
-
-
-def test_augmentation_as_transform_keeps_tv_tensors(tv_tensors):
     sample = torch_images(coded_set(2), dtype="uint8", transform=STANDARD, seed=1)[0]
     assert (type(sample["image"]), type(sample["mask"])) == (Image, Mask)
+    # The canvas is that of the augmented image.
+    target = torch_detections(coded_set(2), augmentation=STANDARD, seed=1)[0][1]
+    assert target["boxes"].canvas_size == (24, 32)
 
 
 def test_workers_return_tv_tensors(tv_tensors):
@@ -394,7 +389,6 @@ def install_failing_torchvision(folder, monkeypatch, line):
     ("line", "problem"),
     [
         ("raise RuntimeError('operator torchvision::nms does not exist\\nsecond line')", "torchvision::nms"),
-        ("raise OSError('libcudart.so: cannot open shared object file')", "libcudart.so"),
         ("raise ModuleNotFoundError(\"No module named 'torchvision'\")", "No module named 'torchvision'"),
         ("assert False", "AssertionError"),
     ],
@@ -461,6 +455,7 @@ print(json.dumps(sizes))
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not report memory sizes")
 def test_memory_does_not_grow_with_epochs(tmp_path):
     # With these thresholds, glibc gives freed arrays back at once, and memory does not grow by fragments.
@@ -478,18 +473,12 @@ def test_memory_does_not_grow_with_epochs(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            {"keys": ()},
-            "keys: must be some of image, mask, .*, depth_z, depth_sensor, chlorophyll, .*, not none",
-        ),
-        ({"keys": "depth"}, "keys: must be some of .*, not depth"),
+        ({"keys": ()}, "keys: must be some of image, mask, .*, depth_z, .*, chlorophyll, .*, not none"),
         ({"keys": ("image", "name")}, "keys: must be some of .*, not name"),
         ({"keys": None}, "keys: must be some of .*, not None"),
-        ({"augmentation": GlobalNumbers()}, "augmentation: must be an Augmentation, not GlobalNumbers"),
         ({"augmentation": RandomFlip()}, "augmentation: must be an Augmentation, not RandomFlip"),
         ({"transform": 3}, "transform: must be a function, not 3"),
         ({"dtype": "uint16"}, "dtype: must be float32 or uint8, not 'uint16'"),
-        ({"dtype": None}, "dtype: must be float32 or uint8, not None"),
         ({"tensors": "torchvision"}, "tensors: must be auto, plain, tv, not 'torchvision'"),
         ({"seed": 1.5}, "seed: must be an integer from 0, or None, not 1.5"),
         ({"seed": -1}, "seed: must be an integer from 0, or None, not -1"),

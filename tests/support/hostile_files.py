@@ -31,7 +31,8 @@ def pipe(path):
 
 
 def unix_socket(path):
-    socket.socket(socket.AF_UNIX).bind(str(path))
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind(str(path))
 
 
 def folder(path):
