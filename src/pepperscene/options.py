@@ -25,6 +25,7 @@ class Option:
         choices: allowed texts.
         none: number by which the command line says None, where leaving the option out says something else.
         shows_default: whether the help of the command line shows the default.
+        shows_range: whether it shows the bounds of a number, which the command line then checks itself.
     """
 
     help: str
@@ -35,6 +36,7 @@ class Option:
     choices: tuple[str, ...] = ()
     none: int | None = None
     shows_default: bool = True
+    shows_range: bool = False
 
     def check(self, name: str, value: Any) -> None:
         """Raise `ArgumentError` unless a value is allowed; None is."""

@@ -254,7 +254,7 @@ def cases():
         yield Case(tuple(words.split()))
 
 
-GOOD = ("doctor", "recipes", "cultivars", "plan demo --no-probe")
+GOOD = ("doctor", "recipes", "cultivars", "build demo --dry-run --no-probe")
 MEASURE = """
 import json, resource, subprocess, sys
 code = subprocess.run(sys.argv[2:]).returncode

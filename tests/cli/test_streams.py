@@ -38,6 +38,7 @@ def build(folder, *more):
     return ("build", "barth2018", "--out", str(folder), *ONE_PLANT, "--outputs", "class", *more)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "redirections",
     ["1>&-", "0<&- 1>&- 2>&-", "2>/dev/full", "1</dev/null 2</dev/null", "--json 2>&-"],
@@ -55,6 +56,7 @@ def test_builds_whose_messages_cannot_be_written_are_complete(tmp_path, redirect
     assert not [path for path in tmp_path.rglob("*.json*") if b"built" in path.read_bytes()]
 
 
+@pytest.mark.long
 def test_workers_are_independent_of_closed_streams(tmp_path):
     code, _, _ = shell("0<&- 1>&- 2>&-", *build(tmp_path / "set", "--workers", "2"))
     assert code == 0
@@ -99,6 +101,7 @@ HOSTILE = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_an_odd_environment_changes_nothing(tmp_path):
     folder = tmp_path / "Bärenklau √2"
     code, output, errors = Command(*build(folder), environment=HOSTILE).finish()
@@ -124,6 +127,7 @@ def test_characters_that_an_encoding_lacks_are_no_error(encoding, expected):
     assert command.finish() == (0, expected, b"")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "environment",
     [{"TERM": "dumb", "COLUMNS": "x"}, {"TERM": None}, {"TERM": "xterm", "COLUMNS": "0"}],
@@ -144,6 +148,7 @@ def test_a_terminal_of_any_kind_shows_progress(tmp_path, environment):
     assert b"Traceback" not in shown
 
 
+@pytest.mark.long
 def test_a_terminal_that_disappears_does_not_stop_a_build(tmp_path):
     parent, child = pty.openpty()
     arguments = build(tmp_path / "set", "--set", "plan.frames=5")
@@ -208,6 +213,7 @@ def test_commands_read_and_print_folders_whose_names_are_not_utf8(odd_set):
     assert os.path.getsize(figure)
 
 
+@pytest.mark.long
 def test_exports_and_meshes_whose_names_are_not_utf8(odd_set):
     forms = ("published", "coco", "yolo", "webdataset", "huggingface", "nerfstudio", "colmap", "ply", "rgbd")
     folders = [odd_set + form.encode() for form in forms]
@@ -226,6 +232,7 @@ def test_exports_and_meshes_whose_names_are_not_utf8(odd_set):
     assert b"mtllib " + NAME + b".mtl\n" in Path(os.fsdecode(mesh)).read_bytes()
 
 
+@pytest.mark.long
 def test_other_outputs_whose_names_are_not_utf8(tmp_path):
     folder = os.path.join(os.fsencode(tmp_path), NAME)
     (output,) = run_together(

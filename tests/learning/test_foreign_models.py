@@ -41,11 +41,9 @@ class Leaving(nn.Conv2d):
         raise SystemExit(7)
 """
 NAMES = (
-    "evil_net:make", " evil_net : make ", "evil_net:make,channels=4", "evil_net.py:make", ".evil_net:make",
-    "../evil_net:make", "evil_net:make.__globals__", "evil_net", "os:_exit", "os:system",
-    "builtins:exec", "builtins:eval", "runpy:run_path", "subprocess:run", "webbrowser:open", "torch:load",
-    "pepperscene.learning.models.small:SmallNetwork", "pepperscene.learning.models.registry:build_model",
-    "small:make", "SMALL", ":make", "evil_net:", "", "\x00", "small\nevil_net:make",
+    "evil_net:make", " evil_net : make ", "evil_net:make,channels=4", "evil_net.py:make", "../evil_net:make",
+    "evil_net:make.__globals__", "evil_net", "os:_exit", "builtins:exec", "torch:load",
+    "pepperscene.learning.models.registry:build_model", "small:make", "SMALL", ":make", "", "\x00",
 )  # fmt: skip
 NOT_TEXT = (None, 3, ["evil_net:make"], {"module": "evil_net"})
 TINY = ("--steps", "1", "--batch", "1", "--size", "32x32", "--width", "0")

@@ -85,9 +85,6 @@ def test_rejects_wrong_arguments(rejects, bands, tmp_path):
     rejects("--size: must be width and height in pixels, such as 256x192, not 256", bands, "--size", "256")
     rejects("--size: must be width and height in pixels", bands, "--size", "-4x32")
     rejects("--size: must be two numbers of pixels, 32 to 8192", bands, "--size", "8x64")
-    rejects("--learning-rate: must be above 0, not -1.0", bands, "--learning-rate", "-1")
-    rejects("--precision: must be auto, float32, bfloat16", bands, "--precision", "half")
-    rejects("--classes: 'apple' is none of background", bands, "--classes", "apple,leaf")
     rejects(
         "--model: must be small, efficientnet_lite0, deeplab_vgg16 or module:factory",
         bands,
@@ -137,17 +134,6 @@ def test_rejects_sets_without_labels_of_the_classes(rejects, bands, tmp_path):
     rejects("bands: has no pixel of the classes wire,cut", bands, *OPTIONS, "--classes", "wire,cut")
     (without / "image0_mask.png").write_bytes((bands / "image0_mask.png").read_bytes())
     rejects("without: image1 has no mask, which training needs", without, *OPTIONS)
-
-
-def test_rejects_a_start_whose_classes_do_not_fit(rejects, bands, tmp_path):
-    fruit = ("--classes", "other=background+leaf+stem,fruit=pepper")
-    start = tmp_path / "start"
-    result = CliRunner().invoke(app, ["train", str(bands), "--out", str(start), *fruit, *OPTIONS])
-    assert result.exit_code == 0, result.output
-    options = (*OPTIONS[2:], "--start", start, "--classes", "leaf,stem,pepper")
-    rejects("the model's class other is only partly in leaf", bands, *options)
-    (start / "model.safetensors").write_bytes((start / "model.safetensors").read_bytes()[:-5])
-    rejects("model.safetensors: cannot be read as safetensors", bands, *OPTIONS[2:], "--start", start)
 
 
 def test_rejects_a_folder_that_cannot_be_written(bands, tmp_path):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 
 import pytest
-from painted_bands import write_bands
 
 from pepperscene.atomic import sole_writer
 from pepperscene.errors import OutputError
@@ -16,33 +14,6 @@ from pepperscene.errors import OutputError
 pytest.importorskip("torch", reason="the extra `learn` installs torch")
 pytest.importorskip("safetensors", reason="the extra `learn` installs safetensors")
 pytest.importorskip("fcntl", reason="folders have no locks on this system")
-
-OPTIONS = (
-    "--model", "small,width=0.3", "--steps", "4", "--batch", "1", "--size", "32x32", "--width", "0",
-    "--validate", "1",
-)  # fmt: skip
-
-
-def start(data, out, *options):
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-m", "pepperscene", "train", str(data), "--out", str(out), *OPTIONS, *options]
-    return subprocess.Popen(
-        command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-
-
-@pytest.mark.slow
-def test_of_two_trainings_into_one_new_folder_one_is_refused(tmp_path):
-    data, out = write_bands(tmp_path / "set", 2), tmp_path / "out"
-    processes = [start(data, out), start(data, out)]
-    results = [(process.communicate(timeout=200)[1], process.returncode) for process in processes]
-    assert sorted(code for _, code in results) == [0, 2], results
-    message = next(text for text, code in results if code == 2)
-    assert message.startswith("error: ")
-    assert message.count("\n") == 1
-    assert "another process is writing to it" in message or "holds a training" in message
-    lines = [json.loads(line) for line in (out / "training.jsonl").read_text().splitlines()]
-    assert [line["step"] for line in lines] == [1, 2, 3, 4]
 
 
 def test_a_folder_has_one_writer_at_a_time(tmp_path):

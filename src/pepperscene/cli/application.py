@@ -8,6 +8,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, NoReturn, ParamSpec, TypeVar
 
@@ -25,6 +26,7 @@ from pepperscene.errors import (
     PepperError,
     is_out_of_memory,
 )
+from pepperscene.options import Option
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
 
@@ -171,12 +173,6 @@ OutputsOption = Annotated[
 QualityOption = Annotated[
     str, typer.Option(metavar="NAME", help="Rendering quality: draft, standard or reference.")
 ]
-TargetOption = Annotated[
-    float | None,
-    typer.Option(
-        help="Rendering error relative to the sensor noise at which sampling stops. Overrides the quality's."
-    ),
-]
 SeedOption = Annotated[int | None, typer.Option(help="Random seed. Overrides the recipe's.")]
 SetOption = Annotated[
     list[str] | None,
@@ -190,12 +186,18 @@ CodeOption = Annotated[
         "--allow-code", help='Allow the code of the recipe to run, which views of the kind "function" need.'
     ),
 ]
-LabelsOption = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Meaning of the masks of a folder of images.")
-]
-HalfOption = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Half of the published data set: synthetic or empirical.")
-]
+
+
+@dataclass(frozen=True)
+class LabelOptions:
+    """How the masks of folders of images are read; the names are those of arguments of `open_images`."""
+
+    labels: Annotated[str | None, Option("Meaning of the masks of a folder of images.", "NAME")] = None
+    half: Annotated[str | None, Option("Half of the published data set: synthetic or empirical.", "NAME")] = (
+        None
+    )
+
+
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the complete result as JSON.")]
 

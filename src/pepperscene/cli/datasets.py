@@ -5,23 +5,24 @@ from __future__ import annotations
 import json as json_text
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from pepperscene.cli.application import (
     FolderArgument,
-    HalfOption,
     JsonOption,
-    LabelsOption,
+    LabelOptions,
     command,
     print_ruled_table,
 )
 from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
 from pepperscene.errors import InputError, OutputError
 from pepperscene.export.formats import FORMATS
+from pepperscene.options import Option
 
 if TYPE_CHECKING:
     from pepperscene.review.check import CheckResult
@@ -94,6 +95,49 @@ def _print_table(rows: list[tuple[str, str, str, str]]) -> None:
         typer.echo("  ".join([*cells, row[3]]))
 
 
+@dataclass(frozen=True)
+class ExportSelection:
+    """The frames and objects that an export has."""
+
+    split: Annotated[
+        str | None,
+        Option(
+            "Fractions (train=.8,val=.1,test=.1) or ranges of frames (train=0:8750,val=8750:8800). "
+            "Default: all frames are for training.",
+            "TEXT",
+        ),
+    ] = None
+    frames: Annotated[str | None, Option("Frames A to B - 1, counted from 0. Default: all.", "A:B")] = None
+    smallest: Annotated[
+        int | None, Option("Minimum visible pixels of an object. Default: yolo formats 12, others 1.", "N")
+    ] = None
+    classes: Annotated[
+        str | None,
+        Option(
+            "Classes of objects, in order; merges and renames (fruit=pepper,stalk=peduncle+stem,leaf). "
+            "pepper.ripe and pepper.unripe divide fruit. Default: all; yolo_pose pepper.",
+            "TEXT",
+        ),
+    ] = None
+    min_visibility: Annotated[
+        float | None, Option("Minimum visible fraction of a fruit (needs harvest).", "F")
+    ] = None
+    ripe: Annotated[
+        float | None,
+        Option(
+            "Ripeness from which fruit is ripe (needs harvest); divides the class pepper. Default: 0.5 for "
+            "pepper.ripe and pepper.unripe.",
+            "F",
+        ),
+    ] = None
+    truncated: Annotated[str, Option("Objects that the image border may cut.", "keep|drop")] = "keep"
+
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `export_dataset`."""
+        names = {"smallest": "smallest_px", "min_visibility": "least_visible", "ripe": "ripe_from"}
+        return {names.get(name, name): value for name, value in vars(self).items()}
+
+
 @command
 def export(
     folder: FolderArgument,
@@ -106,63 +150,13 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option(help="New or empty folder for the export.")],
-    split: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TEXT",
-            help="Fractions (train=.8,val=.1,test=.1) or ranges of frames (train=0:8750,val=8750:8800). "
-            "Default: all frames are for training.",
-        ),
-    ] = None,
-    frames: Annotated[
-        str | None, typer.Option(metavar="A:B", help="Frames A to B - 1, counted from 0. Default: all.")
-    ] = None,
-    smallest: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Minimum visible pixels of an object. Default: yolo formats 12, others 1."
-        ),
-    ] = None,
-    classes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TEXT",
-            help="Classes of objects, in order; merges and renames (fruit=pepper,stalk=peduncle+stem,leaf). "
-            "pepper.ripe and pepper.unripe divide fruit. Default: all; yolo_pose pepper.",
-        ),
-    ] = None,
-    min_visibility: Annotated[
-        float | None, typer.Option(metavar="F", help="Minimum visible fraction of a fruit (needs harvest).")
-    ] = None,
-    ripe: Annotated[
-        float | None,
-        typer.Option(
-            metavar="F",
-            help="Ripeness from which fruit is ripe (needs harvest); divides the class pepper. Default: 0.5 "
-            "for pepper.ripe and pepper.unripe.",
-        ),
-    ] = None,
-    truncated: Annotated[
-        str, typer.Option(metavar="keep|drop", help="Objects that the image border may cut.")
-    ] = "keep",
+    selection: ExportSelection,
 ) -> None:
     """Export a data set to a format that other programs read."""
     from pepperscene.export import export_dataset
 
     with export_progress() as on_frame:
-        result = export_dataset(
-            folder,
-            form,
-            out,
-            split,
-            frames,
-            on_frame,
-            smallest,
-            classes=classes,
-            least_visible=min_visibility,
-            ripe_from=ripe,
-            truncated=truncated,
-        )
+        result = export_dataset(folder, form, out, on_frame=on_frame, **selection.arguments())
     parts = ", ".join(f"{count} {name}" for name, count in result.splits.items())
     typer.echo(f"{result.frames} frame{'' if result.frames == 1 else 's'} as {form} ({parts}): {out}")
     for warning in result.warnings:
@@ -171,13 +165,13 @@ def export(
 
 @command
 def report(
+    *,
     folder: FolderArgument,
     beside: Annotated[
         Path | None,
         typer.Option(metavar="OTHER", help="Folder of a second image set to compare with, in any layout."),
     ] = None,
-    labels: LabelsOption = None,
-    half: HalfOption = None,
+    meaning: LabelOptions,
     limit: Annotated[int, typer.Option(min=1, max=200, help="Show at most this many frames.")] = 12,
     sample: Annotated[int, typer.Option(min=1, help="Measure at most this many frames.")] = 1000,
     scene: Annotated[
@@ -188,8 +182,8 @@ def report(
     from pepperscene.dataset.readers import open_images
     from pepperscene.review.report import write_report
 
-    other = None if beside is None else open_images(beside, labels=labels, half=half)
-    for name, value in (("labels", labels), ("half", half)):
+    other = None if beside is None else open_images(beside, **vars(meaning))
+    for name, value in vars(meaning).items():
         if beside is None and value is not None:
             raise InputError(f"--{name}", "applies only with --beside")
     written = write_report(folder, limit, other, sample=sample, scene=scene, on_progress=echo_measured)
@@ -201,8 +195,27 @@ def report(
         echo_progress(f"note: the page has no 3D view: {written.missing_scene}")
 
 
+@dataclass(frozen=True)
+class MeasuredScale:
+    """How many images are measured, and at which size."""
+
+    limit: Annotated[
+        int, Option("Measure at most this many images of each set.", minimum=1, shows_range=True)
+    ] = 1000
+    width: Annotated[
+        int,
+        Option(
+            "Reduce images to this width in pixels before measuring texture.", minimum=1, shows_range=True
+        ),
+    ] = 580
+    pixel_mm: Annotated[
+        str | None, Option("Millimetres per pixel on the plants. Overrides --width.", "A,B")
+    ] = None
+
+
 @command
 def compare(
+    *,
     first: Annotated[str, typer.Argument(metavar="A", help=_SET_HELP)],
     second: Annotated[str, typer.Argument(metavar="B", help=_SET_HELP)],
     labels: Annotated[
@@ -213,14 +226,7 @@ def compare(
         str | None,
         typer.Option(metavar="NAME[,NAME]", help="synthetic or empirical, for the published data set."),
     ] = None,
-    limit: Annotated[int, typer.Option(min=1, help="Measure at most this many images of each set.")] = 1000,
-    width: Annotated[
-        int, typer.Option(min=1, help="Reduce images to this width in pixels before measuring texture.")
-    ] = 580,
-    pixel_mm: Annotated[
-        str | None,
-        typer.Option(metavar="A,B", help="Millimetres per pixel on the plants. Overrides --width."),
-    ] = None,
+    scale: MeasuredScale,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw Figs. 10 to 13 of the paper as .svg or .png.")
     ] = None,
@@ -233,10 +239,10 @@ def compare(
 
     if figure is not None and figure.suffix.lower() not in (".svg", ".png"):
         raise InputError("--figure", f"must end in .svg or .png, not {figure.name}")
-    pixel_mm_of_sets = _pixel_sizes(pixel_mm)
+    pixel_mm = _pixel_sizes(scale.pixel_mm)
     sets = open_two_sets(first, second, labels, half)
     comparison = compare_sets(
-        *sets, limit=limit, width_px=width, pixel_mm=pixel_mm_of_sets, on_progress=echo_measured
+        *sets, limit=scale.limit, width_px=scale.width, pixel_mm=pixel_mm, on_progress=echo_measured
     )
     if json:
         typer.echo(json_text.dumps(comparison_json(comparison), indent=1, allow_nan=False))

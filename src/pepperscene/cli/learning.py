@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from pepperscene.cli.application import HalfOption, JsonOption, LabelsOption, command, print_ruled_table
+from pepperscene.cli.application import JsonOption, LabelOptions, command, print_ruled_table
 from pepperscene.cli.interrupts import raise_if_interrupted
+from pepperscene.cli.options import Only
 from pepperscene.cli.progress import echo_progress, image_progress, training_progress
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
@@ -46,8 +47,7 @@ def train(
     ] = None,
     options: TrainingOptions,
     resume: Annotated[bool, typer.Option("--resume", help="Resume the training in the folder.")] = False,
-    labels: LabelsOption = None,
-    half: HalfOption = None,
+    meaning: LabelOptions,
 ) -> None:
     """Train a network to separate the classes of labelled images."""
     from pepperscene.dataset.readers.open import open_image_sets
@@ -57,7 +57,7 @@ def train(
     if names_model and start is not None and is_built_in(options.model):
         raise InputError("--model", "cannot be combined with --start, which has a model")
     options.completed()
-    opened = open_image_sets([*sets, *(validation or [])], labels=labels, half=half)
+    opened = open_image_sets([*sets, *(validation or [])], **vars(meaning))
     require_torch()
     from pepperscene.learning.models.trained_model import load_model
     from pepperscene.learning.training.run import train as train_model
@@ -146,8 +146,7 @@ def evaluate(
     model: ModelArgument,
     sets: SetsArgument,
     use: ModelUse,
-    labels: LabelsOption = None,
-    half: HalfOption = None,
+    meaning: LabelOptions,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write evaluation.json and evaluation.html there.")
     ] = None,
@@ -164,7 +163,7 @@ def evaluate(
 
     # Find errors before the first image is predicted: an evaluation can take hours.
     table = use.table()
-    images = open_image_sets(sets, labels=labels, half=half)
+    images = open_image_sets(sets, **vars(meaning))
     if out is not None:
         check_can_write(out, (JSON_NAME, PAGE_NAME))
     network = use.load(model)
@@ -192,7 +191,7 @@ def predict(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder for the class images.")],
     use: ModelUse,
-    half: HalfOption = None,
+    meaning: Annotated[LabelOptions, Only("half")],
 ) -> None:
     """Write the classes that a model predicts for images: class ids and class colours as PNG."""
     from pepperscene.learning.evaluation.predict import predict as predict_images
@@ -200,7 +199,9 @@ def predict(
     table = use.table()
     network = use.load(model)
     with image_progress("predicted") as on_progress:
-        result = predict_images(network, images, out, classes=table, half=half, on_progress=on_progress)
+        result = predict_images(
+            network, images, out, classes=table, half=meaning.half, on_progress=on_progress
+        )
     count = len(result.names)
     typer.echo(f"{count:,} image{'' if count == 1 else 's'} predicted: {result.folder}")
 
@@ -218,7 +219,7 @@ def experiments(
         Path | None,
         typer.Option(metavar="SET", help="Unrelated set or trained model, which experiment D starts from."),
     ] = None,
-    labels: LabelsOption = None,
+    meaning: Annotated[LabelOptions, Only("labels")],
     options: ExperimentOptions,
 ) -> None:
     """Train networks on synthetic and on real images, and compare them on photographs.
@@ -230,7 +231,7 @@ def experiments(
 
     try:
         files = run_experiments(
-            recipes, real, out, options, other=other, labels=labels, on_message=_message_printer()
+            recipes, real, out, options, other=other, labels=meaning.labels, on_message=_message_printer()
         )
     except KeyboardInterrupt as error:
         error.add_note("run the same command again to resume")

@@ -2,18 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pepperscene.cli.application import command
 from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
+from pepperscene.options import Option
+
+
+@dataclass(frozen=True)
+class BenchCost:
+    """How much is measured."""
+
+    runs: Annotated[int, Option("Number of timed frames of each setting.")] = 5
+    budget: Annotated[
+        float, Option("Approximate time limit of the whole benchmark; inf has no limit.", "SECONDS")
+    ] = 900.0
+    size: Annotated[str | None, Option("Size of the images in pixels.", "WxH")] = None
+    quick: Annotated[bool, Option("Few settings and a coarse reference.")] = False
+
+
+@dataclass(frozen=True)
+class BenchMode:
+    """What is measured."""
+
+    all_settings: Annotated[
+        bool, Option("More settings: fixed samples, no denoiser, whole scene, other samplers.")
+    ] = False
+    profile: Annotated[bool, Option("Instead, time the stages of a frame, including the imports.")] = False
+    scaling: Annotated[
+        bool, Option("Instead, measure cost against plants, triangles, pixels, frames and workers.")
+    ] = False
 
 
 @command
 def bench(
+    *,
     out: Annotated[Path, typer.Option(help="Folder for tables and plots; created if missing.")],
     scene: Annotated[
         str | None,
@@ -22,53 +50,26 @@ def bench(
             help="Scenes, comma-separated: flash, daylight, nir, near. Default: all; flash with --scaling.",
         ),
     ] = None,
-    runs: Annotated[int, typer.Option(help="Number of timed frames of each setting.")] = 5,
-    budget: Annotated[
-        float,
-        typer.Option(
-            metavar="SECONDS", help="Approximate time limit of the whole benchmark; inf has no limit."
-        ),
-    ] = 900.0,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the images in pixels.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few settings and a coarse reference.")] = False,
-    all_settings: Annotated[
-        bool,
-        typer.Option(
-            "--all-settings", help="More settings: fixed samples, no denoiser, whole scene, other samplers."
-        ),
-    ] = False,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Instead, time the stages of a frame, including the imports.")
-    ] = False,
-    scaling: Annotated[
-        bool,
-        typer.Option(
-            "--scaling", help="Instead, measure cost against plants, triangles, pixels, frames and workers."
-        ),
-    ] = False,
+    cost: BenchCost,
+    mode: BenchMode,
 ) -> None:
     """Measure rendering time against error. Writes tables and plots."""
     from pepperscene import bench as benchmark
 
-    names = ("flash" if scaling else ",".join(benchmark.SCENES)) if scene is None else scene
-    scenes, pixels = benchmark.select_scenes(names), None if size is None else benchmark.parse_size(size)
-    if profile and scaling:
+    names = ("flash" if mode.scaling else ",".join(benchmark.SCENES)) if scene is None else scene
+    scenes = benchmark.select_scenes(names)
+    pixels = None if cost.size is None else benchmark.parse_size(cost.size)
+    if mode.profile and mode.scaling:
         raise InputError("--profile", "cannot be combined with --scaling")
-    if all_settings and (profile or scaling):
+    if mode.all_settings and (mode.profile or mode.scaling):
         raise InputError("--all-settings", "cannot be combined with --profile or --scaling")
-    if profile or scaling:
-        measure = benchmark.profile_frames if profile else benchmark.measure_scaling
-        files = measure(out, scenes, pixels, runs=runs, quick=quick, on_progress=echo_progress)
+    shared: dict[str, Any] = {"runs": cost.runs, "quick": cost.quick, "on_progress": echo_progress}
+    if mode.profile or mode.scaling:
+        measure = benchmark.profile_frames if mode.profile else benchmark.measure_scaling
+        files = measure(out, scenes, pixels, **shared)
     else:
         files = benchmark.run_benchmark(
-            out,
-            scenes,
-            pixels,
-            runs=runs,
-            budget_s=budget,
-            quick=quick,
-            all_settings=all_settings,
-            on_progress=echo_progress,
+            out, scenes, pixels, budget_s=cost.budget, all_settings=mode.all_settings, **shared
         )
     typer.echo(files.markdown)
     for path in files.files:

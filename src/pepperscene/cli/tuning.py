@@ -6,23 +6,16 @@ import json as json_text
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from pepperscene.cli.application import (
-    CodeOption,
-    HalfOption,
-    JsonOption,
-    LabelsOption,
-    QualityOption,
-    RecipeArgument,
-    SetOption,
-    command,
-)
+from pepperscene.cli.application import JsonOption, LabelOptions, RecipeArgument, SetOption, command
 from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import InputError
+from pepperscene.options import Option
 
 if TYPE_CHECKING:
     from pepperscene.colour import PatchSet
@@ -34,8 +27,33 @@ if TYPE_CHECKING:
 _HELP: Final = "help"
 
 
+@dataclass(frozen=True)
+class TuneOptions:
+    """How a recipe is fitted; the attributes are arguments of `pepperscene.tuning.tune`."""
+
+    bounds: Annotated[Path | None, Option("TOML file that overrides the default bounds.", "FILE")] = None
+    hold_out: Annotated[
+        str | None, Option("Images to hold out for validation, comma-separated.", "NAMES")
+    ] = None
+    verify: Annotated[
+        int, Option("Frames of the full scene to render for verification.", "N", minimum=0, shows_range=True)
+    ] = 0
+    quality: Annotated[str, Option("Rendering quality: draft, standard or reference.", "NAME")] = "draft"
+    starts: Annotated[
+        int, Option("Maximum number of starting points.", minimum=1, maximum=100, shows_range=True)
+    ] = 4
+    seed: Annotated[
+        int, Option("Random seed: organs, light, noise, starting points.", minimum=0, shows_range=True)
+    ] = 0
+    allow_code: Annotated[
+        bool,
+        Option('Allow the code of the recipe to run, which views of the kind "function" need.'),
+    ] = False
+
+
 @command
 def tune(
+    *,
     recipe: RecipeArgument,
     fit: Annotated[
         str,
@@ -51,23 +69,9 @@ def tune(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="New or empty folder. Default: RECIPE_tuned.")
     ] = None,
-    bounds: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML file that overrides the default bounds.")
-    ] = None,
-    hold_out: Annotated[
-        str | None,
-        typer.Option(metavar="NAMES", help="Images to hold out for validation, comma-separated."),
-    ] = None,
-    verify: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Frames of the full scene to render for verification.")
-    ] = 0,
-    quality: QualityOption = "draft",
-    starts: Annotated[int, typer.Option(min=1, max=100, help="Maximum number of starting points.")] = 4,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed: organs, light, noise, starting points.")] = 0,
-    labels: LabelsOption = None,
-    half: HalfOption = None,
+    options: TuneOptions,
+    meaning: LabelOptions,
     set: SetOption = None,
-    allow_code: CodeOption = False,
     json: JsonOption = False,
 ) -> None:
     """Fit a recipe to measured colours. Fits pigments, light and camera, and writes the tuned recipe."""
@@ -79,18 +83,22 @@ def tune(
         _list_parameters(changed_recipe, json)
         return
     # Find all errors in the arguments before the fit starts.
-    _select_parameters(changed_recipe, names, bounds)
+    _select_parameters(changed_recipe, names, options.bounds)
     if not patches:
         raise InputError("--patches", "is required: a patches file, a folder of images, or a CSV file")
     folder = out or Path(f"{Path(recipe).stem}_tuned")
     _check_name(folder)
-    measured, held_out = _open_patches(patches, labels, half), _split_names(hold_out or "")
+    held_out = _split_names(options.hold_out or "")
+    measured = _open_patches(patches, meaning)
     _check_held_out(measured, held_out)
-    options = {
-        "recipe": recipe, "set": list(set or ()), "fit": list(names), "patches": list(patches),
-        "bounds": None if bounds is None else str(bounds), "hold_out": list(held_out), "starts": starts,
-        "seed": seed, "labels": labels, "half": half, "verify": verify, "quality": quality,
+    chosen = {**vars(options), "hold_out": held_out}
+    record = {
+        **chosen, **vars(meaning), "recipe": recipe, "set": list(set or ()), "fit": list(names),
+        "patches": list(patches), "hold_out": list(held_out),
+        "bounds": None if options.bounds is None else str(options.bounds),
     }  # fmt: skip
+    # A permission is given anew each time.
+    del record["allow_code"]
 
     from pepperscene.tuning.workflow import tune as tune_recipe
 
@@ -101,15 +109,9 @@ def tune(
                 measured,
                 names,
                 folder,
-                bounds=bounds,
-                hold_out=held_out,
-                starts=starts,
-                seed=seed,
-                verify=verify,
-                quality=quality,
-                options=options,
+                **chosen,
+                options=record,
                 extends=recipe,
-                allow_code=allow_code,
                 on_progress=on_progress,
             )
     except KeyboardInterrupt as error:
@@ -130,18 +132,18 @@ def _check_name(folder: Path) -> None:
         ) from None
 
 
-def _open_patches(patches: Sequence[str], labels: str | None, half: str | None) -> PatchSet:
-    """Merge all patches into one set; labels and half apply to those that are folders."""
+def _open_patches(patches: Sequence[str], meaning: LabelOptions) -> PatchSet:
+    """Merge all patches into one set; options of labels apply to those that are folders."""
     from pepperscene.colour import open_patches
     from pepperscene.tuning.workflow import merge_patches
 
     folders = [Path(path).is_dir() for path in patches]
-    for option, value in (("--labels", labels), ("--half", half)):
+    for name, value in vars(meaning).items():
         if value is not None and not any(folders):
-            raise InputError(option, "applies only to a folder of images")
+            raise InputError(f"--{name}", "applies only to a folder of images")
     return merge_patches(
         [
-            open_patches(path, labels=labels, half=half) if is_folder else open_patches(path)
+            open_patches(path, **vars(meaning)) if is_folder else open_patches(path)
             for path, is_folder in zip(patches, folders, strict=True)
         ]
     )

@@ -130,7 +130,7 @@ class TrainingOptions:
             choices=("auto", "float32", "bfloat16"),
         ),
     ] = "auto"
-    workers: Annotated[int, Option("Processes that read images.", "N", minimum=0)] = 0
+    workers: Annotated[int, Option("Processes that read images.", "N", minimum=0, shows_range=True)] = 0
     device: Annotated[str | None, Option("Device of torch, such as cpu or cuda:0.", "NAME")] = None
     allow_code: Annotated[bool, Option("Allow the code of --model module:factory to run.")] = False
 
