@@ -15,7 +15,7 @@ NOT_WRITTEN = {
     "bench/measure.py": "between two processes of this program",
     "building/viewpoints/table.py": "of settings, for a digest",
     "export/yolo.py": "quotes names",
-    "export/fruit_models.py": "compared with a recorded recipe",
+    "export/bop.py": "compared with a recorded recipe",
     "export/huggingface.py": "names of columns; values are encoded without nan",
     "recipe/recipe.py": "of a recipe, whose numbers are finite, for a digest",
     "recipe/resolve/resolved.py": "of a recipe, whose numbers are finite, for a digest",

@@ -22,8 +22,8 @@ RECORDS = {
     "cli/application.py",  # --version
     "building/execution/dask_worker.py",  # workers have the version of the build
     "building/execution/job.py",  # dataset.json
-    "export/fruit_models.py",  # plants are grown again only by the version that grew them
-    "review/report/recorded_scene.py",  # as fruit_models
+    "export/bop.py",  # plants are grown again only by the version that grew them
+    "review/report/scene_view.py",  # as in bop
     "building/viewpoints/table.py",  # metadata of a table
     "learning/experiments/run.py",
     "learning/models/trained_model.py",

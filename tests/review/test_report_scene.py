@@ -27,8 +27,13 @@ from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.review.report import scene_view as module
 from pepperscene.review.report import write_report
 from pepperscene.review.report.label_regions import unpack
-from pepperscene.review.report.recorded_scene import MissingSceneError, grow_row, recorded_recipe
-from pepperscene.review.report.scene_view import organ_triangles, three_js
+from pepperscene.review.report.scene_view import (
+    MissingSceneError,
+    grow_row,
+    organ_triangles,
+    recorded_recipe,
+    three_js,
+)
 from pepperscene.shipped import shipped_folder
 from pepperscene.version import __version__
 

@@ -7,22 +7,33 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera
 from pepperscene.camera.optics.calibration import CENTRE_OF_FIRST_PIXEL
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
+from pepperscene.dataset.store.dataset import MARK, Dataset
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import InputError
-from pepperscene.export.fruit_models import FruitMeshes, FruitModel
 from pepperscene.export.job import ExportJob, write_table
 from pepperscene.export.surface import MILLIMETRES, RangeImage, read_label, read_surface
 from pepperscene.recipe.plan import Plan
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.truth.encodings import decode_rle
+from pepperscene.version import __version__
+
+if TYPE_CHECKING:
+    from pepperscene.geometry import Mesh
 
 _DEPTH_SCALE: Final = 1.0  # millimetres per step of a depth image
 _TABLES: Final = ("scene_camera", "scene_gt", "scene_gt_info")
@@ -40,6 +51,13 @@ _COLUMNS: Final = (
 _NO_BOX: Final = (-1, -1, -1, -1)
 
 
+_MODEL_AXES: Final = np.diag([1.0, -1.0, -1.0])
+"""From fruit to model axes, a half turn about x: the model's z points to the stalk, up as the fruit hangs."""
+
+_TOLERANCE_M: Final = 1e-5
+"""Of the side lengths of a fruit's box. Chosen: ten times the rounding of the harvest truth."""
+
+
 def write_bop(job: ExportJob, folder: Path) -> None:
     """Write `train/000004/rgb/001000.png` and so on, `models/obj_000001.ply`, `camera.json`, `objects.csv`.
 
@@ -55,7 +73,7 @@ def write_bop(job: ExportJob, folder: Path) -> None:
     # Ascending scenes, so that each is grown once.
     for index in sorted(scenes, key=lambda index: (scenes[index], index)):
         groups.setdefault(f"{job.split_of[index]}/{scenes[index]:06d}", []).append(index)
-    models = _Models(FruitMeshes(job.dataset), job.plan, folder)
+    models = _Models(job, folder)
     for name, frames in job.frames_by_group(groups):
         _write_scene(folder / name, frames, models)
     models.write_tables()
@@ -67,38 +85,119 @@ def _scene_id(plan: Plan, index: int) -> int:
     return spec.scene * plan.twins + spec.twin
 
 
-class _Models:
-    """The models of all fruit, written when the first frame shows them."""
+@dataclass(frozen=True, eq=False)
+class _FruitModel:
+    """The mesh of a fruit; the origin is the centre of its bounding box.
 
-    def __init__(self, meshes: FruitMeshes, plan: Plan, folder: Path) -> None:
-        self.meshes, self.plan, self.folder = meshes, plan, folder
-        self.ids: dict[tuple[int, int], int] = {}  # by scene and instance
-        self.models: dict[int, FruitModel] = {}
+    Attributes:
+        vertices: `(n, 3)` metres, in model axes.
+        normals: `(n, 3)` unit vectors, in model axes.
+        faces: `(m, 3)` indices of vertices.
+        centre: `(3,)` the origin in the axes of the fruit, metres.
+    """
+
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    centre: NDArray[np.float64]
+
+    def to_camera(self, pose: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotation `(3, 3)` and translation `(3,)` in metres of the model at a fruit's pose `(4, 4)`."""
+        rotation = pose[:3, :3]
+        return rotation @ _MODEL_AXES.T, rotation @ self.centre + pose[:3, 3]
+
+
+class _Models:
+    """The models of all fruit, written when a frame first shows them; one scene is grown at a time."""
+
+    def __init__(self, job: ExportJob, folder: Path) -> None:
+        self.plan, self.folder, self.where = job.plan, folder, job.dataset.folder / MARK
+        self.renderer = FrameRenderer(_restored_recipe(job.dataset))
+        self.scene: tuple[int, Mesh] | None = None
+        self.models: dict[tuple[int, int], tuple[int, _FruitModel]] = {}  # by scene and instance
         self.info: dict[str, dict[str, float]] = {}
         self.rows: list[dict[str, Any]] = []
         self.camera: dict[str, float] = {}
         (folder / "models").mkdir()
 
-    def of(self, frame: DatasetFrame, fruit: Mapping[str, Any]) -> tuple[int, FruitModel]:
+    def of(self, frame: DatasetFrame, fruit: Mapping[str, Any]) -> tuple[int, _FruitModel]:
         """Object id and model of a fruit in a frame."""
         scene = _scene_id(self.plan, frame.index)
         key = scene, fruit["instance"]
-        if key not in self.ids:
-            number = self.ids[key] = len(self.ids) + 1
-            pose = np.asarray(frame.metadata["camera"]["pose"], dtype=float)
-            model = self.models[number] = self.meshes.model(self.plan.frame(frame.index), pose, fruit)
+        if key not in self.models:
+            number, pose = len(self.models) + 1, np.asarray(frame.metadata["camera"]["pose"], dtype=float)
+            model = self._grown(self._mesh(frame.index), pose, fruit)
+            self.models[key] = number, model
             content, self.info[str(number)] = _model_file(model)
             (self.folder / "models" / f"obj_{number:06d}.ply").write_bytes(content)
             self.rows.append({**fruit, "obj_id": number, "scene_id": scene})
-        return self.ids[key], self.models[self.ids[key]]
+        return self.models[key]
 
     def write_tables(self) -> None:
         _write_json(self.folder / "models" / "models_info.json", self.info)
         _write_json(self.folder / "camera.json", self.camera)
         write_table(self.folder / "objects.csv", _COLUMNS, self.rows)
 
+    def _mesh(self, index: int) -> Mesh:
+        scene = _scene_id(self.plan, index)
+        if self.scene is None or self.scene[0] != scene:
+            # Release the old scene before making the new one.
+            self.scene = None
+            self.scene = scene, self.renderer.scene(self.plan.frame(index), traced=False).mesh
+        return self.scene[1]
 
-def _model_file(model: FruitModel) -> tuple[bytes, dict[str, float]]:
+    def _grown(self, mesh: Mesh, camera_pose: NDArray[np.float64], fruit: Mapping[str, Any]) -> _FruitModel:
+        """The model of a fruit, whose box must be that of the truth of a frame with this camera `(4, 4)`."""
+        number = fruit["instance"] - 1
+        is_fruit = number < len(mesh.instances) and mesh.instances[number].organ_class == OrganClass.PEPPER
+        faces = mesh.faces[mesh.face_instance == number] if is_fruit else np.empty((0, 3), np.int64)
+        if not len(faces):
+            raise self._other_plants(fruit)
+        used, numbers = np.unique(faces, return_inverse=True)
+        # From the world into the axes of the fruit, where its box is upright.
+        to_world = camera_pose @ np.asarray(fruit["pose"], dtype=float)
+        vertices = (mesh.vertices[used] - to_world[:3, 3]) @ to_world[:3, :3]
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        size = np.asarray((fruit.get("box_3d") or {"size": [np.nan] * 3})["size"], dtype=float)
+        if not np.abs(high - low - size).max() <= _TOLERANCE_M:
+            raise self._other_plants(fruit)
+        # Then into the axes of the model, with the origin in the centre.
+        centre = (low + high) / 2
+        normals = mesh.normals[used] @ to_world[:3, :3]
+        return _FruitModel(
+            (vertices - centre) @ _MODEL_AXES.T, normals @ _MODEL_AXES.T, numbers.reshape(-1, 3), centre
+        )
+
+    def _other_plants(self, fruit: Mapping[str, Any]) -> InputError:
+        problem = f"the plants that its recipe grows have no fruit like instance {fruit['instance']}"
+        return InputError(self.where, problem)
+
+
+def _restored_recipe(dataset: Dataset) -> Recipe:
+    """The recipe that a `dataset.json` records, with all its values and the same files.
+
+    Raises:
+        InputError: a file of the recipe differs or is not shipped, or another version built the data set.
+    """
+    where, info = dataset.folder / MARK, dataset.info
+    if info["version"] != __version__:
+        problem = f"the plants cannot be grown again: version {__version__} may grow others"
+        raise InputError(where, problem, key="version", value=info["version"])
+    content = {key: value for key, value in info["recipe"].items() if key != "variation"}
+    try:
+        recipe = Recipe.model_validate_json(json.dumps(content))
+        recipe = recipe.with_variation(read_variation(info["recipe"]))
+        identity = resolve_recipe(recipe).identity
+    except (InputError, ValidationError, ValueError) as error:
+        detail = error.detail if isinstance(error, InputError) else "its values are not valid"
+        problem = f"the plants cannot be grown again: {detail}"
+        raise InputError(where, problem, key="recipe") from None
+    if json.loads(json.dumps(identity)) != {key: info.get(key) for key in ("recipe", "files")}:
+        raise InputError(where, "the plants cannot be grown again: the recipe's files have changed")
+    return recipe
+
+
+def _model_file(model: _FruitModel) -> tuple[bytes, dict[str, float]]:
     """A PLY file of a model in millimetres, and its entry in `models_info.json`."""
     import trimesh
     from scipy.spatial import ConvexHull
@@ -142,7 +241,7 @@ def _check_camera(frame: DatasetFrame, camera: Camera) -> None:
 
 def _pose_record(frame: DatasetFrame, fruit: Mapping[str, Any], models: _Models) -> dict[str, Any]:
     number, model = models.of(frame, fruit)
-    rotation, translation = model.model_to_camera(np.asarray(fruit["pose"], dtype=float))
+    rotation, translation = model.to_camera(np.asarray(fruit["pose"], dtype=float))
     return {
         "cam_R_m2c": rotation.ravel().tolist(),
         "cam_t_m2c": (MILLIMETRES * translation).tolist(),

@@ -4,22 +4,32 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import date
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.dataset.store.frame_json import DIGITS
+from pepperscene.document import validate
+from pepperscene.errors import InputError
+from pepperscene.recipe.plan import FrameSpec
+from pepperscene.recipe.recipe import Recipe, digest
+from pepperscene.recipe.resolve.frame_setups import FrameSetups
+from pepperscene.recipe.resolve.load import resolve_recipe
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe
+from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.review.report.data import evenly_spaced
 from pepperscene.review.report.image_view import card_id
 from pepperscene.review.report.label_regions import pack
 from pepperscene.review.report.page import plural
-from pepperscene.review.report.recorded_scene import MissingSceneError, grow_row, recorded_recipe
+from pepperscene.version import __version__
 
 if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
@@ -36,6 +46,14 @@ _LIBRARY: Final = re.compile(
     r"<script>\s*(/\*\*\s+\* @license\s+\* Copyright [^\n]*Three\.js Authors\n.*?\*/\n[^\n]+)\n", re.DOTALL
 )
 """The first script of the template starts with the licence and one line, the minified library."""
+
+
+_DATE: Final = "growth.date"
+"""The only key of a recipe that is a date."""
+
+
+class MissingSceneError(Exception):
+    """A scene cannot be shown; the message is the reason, and part of the page."""
 
 
 @dataclass(frozen=True)
@@ -181,3 +199,58 @@ def organ_triangles(
 def _whole(points: NDArray[np.float64]) -> NDArray[np.int64]:
     """Metres in whole millimetres."""
     return np.rint(_PER_METRE * points).astype(np.int64)
+
+
+def recorded_recipe(info: Mapping[str, Any]) -> ResolvedRecipe:
+    """The recipe of a data set from the content of its `dataset.json`, which `read_info` has checked.
+
+    Raises:
+        MissingSceneError: its scenes cannot be grown again: it is of another version, or of files that are
+            not shipped or have changed.
+    """
+    if info["version"] != __version__:
+        raise MissingSceneError(
+            f"the data set was built by version {info['version']}, and this is {__version__}"
+        )
+    tables = {key: value for key, value in info["recipe"].items() if key != "variation"}
+    variation = read_variation(info["recipe"])
+    if any(varied.name == _DATE for varied in variation):
+        raise MissingSceneError("the recipe draws dates, which data sets record as text")
+    try:
+        recipe = validate(Recipe, _with_dates(tables), "dataset.json").with_variation(variation)
+        resolved = resolve_recipe(recipe)
+        is_same = digest(dict(resolved.identity)) == info["recipe_sha256"]
+    except (InputError, ValueError):
+        # Data sets record the names of the user's own files, not their folders.
+        is_same = False
+    if not is_same:
+        raise MissingSceneError("the recipe names files that are not shipped with this version")
+    return resolved
+
+
+def _with_dates(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """A recipe's tables from JSON, with dates instead of their text; raises `ValueError` if one is none."""
+    changed = dict(tables)
+    growth, twins = tables.get("growth") or {}, tables.get("twins") or {}
+    if isinstance(growth.get("date"), str):
+        changed["growth"] = {**growth, "date": date.fromisoformat(growth["date"])}
+    if _DATE in twins:
+        changed["twins"] = {**twins, _DATE: [date.fromisoformat(str(value)) for value in twins[_DATE]]}
+    return changed
+
+
+def grow_row(resolved: ResolvedRecipe, spec: FrameSpec) -> Mesh:
+    """The plants of a frame's scene with the greenhouse, without far rows, in world coordinates.
+
+    Raises:
+        MissingSceneError: drawn values of the frame are not valid together.
+    """
+    try:
+        setup = FrameSetups(resolved).at(spec)
+    except InputError as error:
+        raise MissingSceneError(str(error)) from None
+    recipe = setup.recipe
+    if recipe.greenhouse is not None:
+        # Plants do not depend on the far rows.
+        recipe = recipe.model_copy(update={"greenhouse": replace(recipe.greenhouse, far_rows=0)})
+    return SceneBuilder(recipe, setup.cultivar).scene(spec.set, spec.rotation).mesh
