@@ -17,7 +17,6 @@ from functools import cache
 from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import (
-    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -89,15 +88,19 @@ def within(low: float, high: float) -> Any:
     return Field(strict=True, ge=low, le=high)
 
 
-def zero_or_at_least(least: float) -> AfterValidator:
-    """0 omits a part; a positive number that is no real part's is an error."""
+@dataclass(frozen=True)
+class ZeroOrAtLeast:
+    """An annotation of a number: 0 omits a part; a positive number that is no real part's is an error."""
 
-    def check(value: float) -> float:
-        if 0 < value < least:
-            raise ValueError(f"must be 0 for none, or at least {least:g}")
+    least: float
+
+    def _check(self, value: float) -> float:
+        if 0 < value < self.least:
+            raise ValueError(f"must be 0 for none, or at least {self.least:g}")
         return value
 
-    return AfterValidator(check)
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._check, handler(source))
 
 
 def single_message(allowed: str) -> WrapValidator:

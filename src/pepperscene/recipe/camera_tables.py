@@ -57,13 +57,14 @@ class AutoExposureTable(Table):
     """What an exposure of "auto" aims at, and the settings that it may use.
 
     Attributes:
-        target_grey: mean 8-bit code of the developed photograph.
-        exposure_s: shortest and longest exposure time. The default is chosen, as in `ExposureControl`.
-        most_gain: highest gain of the amplifier, which is raised where the longest exposure is too dark.
-        metering: "average" of the whole image, or "centre" with more weight in its middle.
+        target_grey: mean of the photograph's 8-bit codes over pixels and colours.
+        exposure_s: shortest and longest exposure time.
+        most_gain: highest gain. The lowest is `camera.gain`.
+        metering: weights of the pixels: equal, or more in the middle of the image.
     """
 
     target_grey: Annotated[float, within(1, 250)] = 110.0
+    # The limits are chosen, as in `ExposureControl`.
     exposure_s: tuple[Exposure, Exposure] = (10e-6, 10e-3)
     most_gain: Annotated[float, within(1, 1000)] = 4.0
     metering: Literal["average", "centre"] = "average"

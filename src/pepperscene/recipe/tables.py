@@ -19,7 +19,13 @@ Grey = Annotated[float, within(0, 255)]
 
 @dataclass(frozen=True, kw_only=True)
 class GrowthTable(Table):
-    """A growth stage between those of two cultivar files, by date or by the fraction of the way, `share`."""
+    """A growth stage between those of two cultivar files, by date or by the fraction of the way, `share`.
+
+    Attributes:
+        until: the later stage: a shipped cultivar, or the path of a cultivar file.
+        share: fraction of the way from the first stage to the later one.
+        date: instead of `share`: a day between the `date`s of the two cultivar files, such as `2016-06-01`.
+    """
 
     until: Name
     share: Fraction | None = None
@@ -35,6 +41,12 @@ class WhiteReferenceTable(Table):
     """The white reference of the output `reflectance`, as in `pepperscene.camera.WhiteReference`.
 
     Without `distance_m`, it is at the nearest distance from the camera to its subject.
+
+    Attributes:
+        reflectance: of the panel, in all bands.
+        distance_m: of its centre along the optical axis; it matters in the light of a flash. Default: the
+            nearest distance from the camera to its subject, as of the views.
+        facing: across the optical axis, or level.
     """
 
     reflectance: Annotated[float, within(0.01, 1)] = 0.99

@@ -66,6 +66,13 @@ class ArcViews(Views):
     """An arc around the middle plant; azimuth and height run from the first to the second value.
 
     With `speed_m_s` the camera moves while it takes the photographs.
+
+    Attributes:
+        distance_m: from the plant's axis.
+        azimuth_rad: at the first and the last frame; 0 is in the aisle, positive towards +x.
+        height_m: of the projection centre, at the first and the last frame.
+        pitch_rad: of the optical axis, positive upwards.
+        speed_m_s: the camera moves along the arc at this speed while it exposes; default: it does not move.
     """
 
     kind: Literal["arc"]
@@ -78,7 +85,14 @@ class ArcViews(Views):
 
 @dataclass(frozen=True, kw_only=True)
 class ProtocolViews(Views):
-    """The protocol of a robot: every azimuth at every distance from the middle plant, at one height."""
+    """The protocol of a robot: every azimuth at every distance from the middle plant, at one height.
+
+    Attributes:
+        distance_m: from the plant's axis.
+        azimuth_rad: as for `arc`.
+        height_m: of the projection centre.
+        pitch_rad: of the optical axis.
+    """
 
     kind: Literal["protocol"]
     distance_m: _Distances
@@ -94,7 +108,15 @@ class ProtocolViews(Views):
 
 @dataclass(frozen=True, kw_only=True)
 class GridViews(Views):
-    """All combinations of positions along the row, distances, heights and angles; the last varies fastest."""
+    """All combinations of positions along the row, distances, heights and angles; the last varies fastest.
+
+    Attributes:
+        x_m: places along the row.
+        distance_m: from the row at that place.
+        height_m: of the projection centre.
+        azimuth_rad: around that place, as for `arc`.
+        pitch_rad: of the optical axis.
+    """
 
     kind: Literal["grid"]
     x_m: Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=1000)] = (0.0,)
@@ -112,7 +134,13 @@ class GridViews(Views):
 
 @dataclass(frozen=True, kw_only=True)
 class PoseViews(Views):
-    """Poses from a file. `motion`: timed poses blur the photographs along their path."""
+    """Poses from a file. `motion`: timed poses blur the photographs along their path.
+
+    Attributes:
+        file: path of a file of camera poses, relative to the recipe: TUM, CSV, nerfstudio or COLMAP. Its
+            world must have the recipe's axes and metres.
+        motion: if poses have times, the camera moves along them while it exposes.
+    """
 
     kind: Literal["poses"]
     file: Name
@@ -126,6 +154,16 @@ class PathViews(Views):
     The camera looks at a point, `look_at_m`, or in a direction, `azimuth_rad` (0 faces the row from its
     aisle, positive turns to the left) and `pitch_rad`. With `frame_rate_hz`, frames follow each other in
     time; without it, they are spread evenly over the path.
+
+    Attributes:
+        points_m: x, y and z in the world; two in succession must differ.
+        speed_m_s: along the curve.
+        frame_rate_hz: frames follow each other in time. Default: `plan.frames` views, spread evenly over the
+            curve.
+        look_at_m: the camera looks at this point; excludes the next two keys.
+        azimuth_rad: direction of view: 0 faces the row from its aisle, positive turns to the left.
+        pitch_rad: of the optical axis.
+        motion: the camera moves while it exposes.
     """
 
     kind: Literal["path"]
@@ -152,17 +190,19 @@ class RandomViews(Views):
     the image.
 
     Attributes:
-        target: "fruit", "ripe fruit", "unripe fruit", the name of an organ kind or of a class, or a point.
-        distance_m: from the projection centre to the target's centroid.
-        elevation_rad: of the camera seen from the target, positive above it.
-        azimuth_rad: of the camera around the target, 0 in front of the row (at -y), positive towards +x.
-        roll_rad: rotation about the optical axis from level rows, clockwise seen from behind the camera.
-        offset: distance of the target from the image's centre, in halves of its width and height: 0 is the
-            centre, 1 the ellipse that touches the borders.
-        volume_m: lowest and highest x, y and z of the projection centre; None for no limits.
-        clearance_m: no surface is nearer to the projection centre; never less than the lens' pupil.
-        least_visibility: fraction of what the camera would see of the target alone that is in the image and
-            not hidden.
+        target: `fruit`, `ripe fruit`, `unripe fruit`, the kind of an organ (`lamina`, `peduncle`, …), a class
+            in lower case (`leaf`), or a point in mm. The target of each frame is one of these organs of the
+            scene, all with the same probability. A fruit is ripe if its mean ripeness is at least 0.5.
+        distance_m: least and greatest distance of the projection centre from the target's centroid.
+        elevation_rad: of the camera as seen from the target, positive above it.
+        azimuth_rad: of the camera around the target: 0 is in front of the row, positive towards +x.
+        roll_rad: about the optical axis, clockwise seen from behind the camera.
+        offset: of the target from the middle of the image: 0 is the middle, 1 the ellipse that touches the
+            borders.
+        volume_m: limits of the camera's x, y and z.
+        clearance_m: no surface is nearer to the projection centre; at least the radius of the lens's pupil.
+        least_visibility: least fraction that is in the image and not hidden, of what the camera would see of
+            the target alone.
     """
 
     kind: Literal["random"]
@@ -188,7 +228,12 @@ class RandomViews(Views):
 
 @dataclass(frozen=True, kw_only=True)
 class FunctionViews(Views):
-    """Poses from the user's Python function `poses(scene, rng)`, in a file of its own."""
+    """Poses from the user's Python function `poses(scene, rng)`, in a file of its own.
+
+    Attributes:
+        file: path of a Python file, relative to the recipe.
+        function: name of the function in it.
+    """
 
     kind: Literal["function"]
     file: Name

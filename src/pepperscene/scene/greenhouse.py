@@ -116,20 +116,24 @@ class Greenhouse(Table):
     """Surroundings of a double row, and irregularity of its plants; parts that are 0 or False are left out.
 
     Attributes:
-        row_lean_rad: lean of each row towards its own aisle, away from the other row (V-trellis).
-        lean_sd_rad: standard deviation of the plants' lean about that of the row.
-        turn_sd_rad: standard deviation of the plants' rotation about their vertical axes.
+        row_lean_rad: of both rows, each towards its own aisle and away from the other (V-trellis); stems
+            lean, fruit hangs vertically.
+        lean_sd_rad: standard deviation of the plants' lean about that of their row.
+        turn_sd_rad: standard deviation of the plants' rotation about their vertical axes, in addition to the
+            cultivar's angles to the aisle.
         spacing_sd_m: standard deviation of the positions along the row about even spacing.
-        across_sd_m: standard deviation of the stem bases across the row.
-        gutter_width_m: width of the gutter under each row.
-        gutter_height_m: height of the gutter's underside above the floor.
-        floor: whether film covers the floor.
-        crop_wire_m: height above the floor of the wire that the twine of a row is tied to.
-        far_rows: number of further double rows on either side.
-        far_rows_as: what the plants of these rows, and those that continue the labelled rows, are in labels.
-        far_reach_m: half length of all rows, from the middle plant.
+        across_sd_m: standard deviation of the stems' feet across the row.
+        gutter_width_m: 0 for none, or at least 110: of the white gutter under each row, with a slab of
+            substrate and a block under every plant; at most the `gap_mm` of `[row]` and `aisle_m`.
+        gutter_height_m: of its underside above the floor. The stems' feet are 144 mm higher, on the blocks.
+        floor: white film on the floor.
+        crop_wire_m: 0 for none; height above the floor of a steel wire over each row, which holds the twine;
+            at least 500 above `gutter_height_m`.
+        far_rows: double rows on either side, beyond the aisles.
+        far_rows_as: what the plants beyond the recipe's own are in labels.
+        far_reach_m: extent of rows, gutters, wires and pipes to either side of the middle plant.
         aisle_m: distance between double rows.
-        pipes: whether each aisle has two heating pipes.
+        pipes: two white heating pipes on low supports in every aisle.
     """
 
     row_lean_rad: Annotated[float, within(0, 20), DEGREES] = 0.0

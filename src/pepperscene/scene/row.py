@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.geometry import Mesh, concatenate_meshes, stem_branches, stem_profile, twine_mesh
 from pepperscene.grammar import Plant
-from pepperscene.units import MILLIMETRES, Table, within, zero_or_at_least
+from pepperscene.units import MILLIMETRES, Table, ZeroOrAtLeast, within
 
 _STRAIGHT: Final = 0.15  # chosen: metres of twine below the wire that are not wound round the stem
 
@@ -22,12 +22,12 @@ class Twine(Table):
     """Horticultural twine of three strands, wound around every stem.
 
     Attributes:
-        diameter_m: of the twine; 0 for none.
+        diameter_m: of the cord.
         turns_per_m: windings per metre of stem.
     """
 
     # Chosen: at least fine sewing thread.
-    diameter_m: Annotated[float, within(0, 20), zero_or_at_least(0.1), MILLIMETRES]
+    diameter_m: Annotated[float, within(0, 20), ZeroOrAtLeast(0.1), MILLIMETRES]
     turns_per_m: Annotated[float, within(0, 50)]
 
 
@@ -36,11 +36,11 @@ class DoubleRow(Table):
     """Two parallel rows of plants along x, both centred on the front row's middle plant.
 
     Attributes:
-        plants_front: plants in the row at y = 0; the middle one, `plants_front // 2`, is at the origin.
-        plants_back: plants in the row behind, at y = `gap_m`.
-        spacing_m: distance between neighbours in a row.
-        gap_m: distance between the rows.
-        shift_m: shift of the back row along x; with half the spacing, its plants face the front row's gaps.
+        plants_front: plants in the front row, at y = 0; the middle one is at the origin.
+        plants_back: plants in the back row, at y = `gap_m`.
+        spacing_m: between neighbours in a row.
+        gap_m: between the rows.
+        shift_m: of the back row, along the row; with half the spacing, its plants face the front row's gaps.
     """
 
     plants_front: Annotated[int, within(1, 50)]

@@ -18,7 +18,7 @@ from pepperscene.scene.cover import Cover, directions, row_geometry, tabulate_ha
 from pepperscene.scene.floor import MAX_LEAF_AREA_INDEX, reflected_radiance
 from pepperscene.scene.sky_luminance import LOWEST_SKY, partly_cloudy_weights
 from pepperscene.spectra import Spectrum, daylight_basis, illuminance, scale_to_illuminance, sun_spectrum
-from pepperscene.units import DEGREES, NONE, Fraction, Name, Table, within, zero_or_at_least
+from pepperscene.units import DEGREES, NONE, Fraction, Name, Table, ZeroOrAtLeast, within
 
 SUN_ANGULAR_RADIUS: Final = 0.004654
 """Radians; the solar radius of 695,700 km at one astronomical unit (IAU 2015 resolution B3)."""
@@ -36,20 +36,22 @@ class Daylight(Table):
 
     Attributes:
         illuminance_lx: of sky and sun together, on a horizontal plane above the crop and below the cover.
-        sun_azimuth_rad: counter-clockwise from +x, as seen from above; pi/2 is behind the crop.
-        sun_elevation_rad: above the horizon.
+        sun_azimuth_rad: counter-clockwise from +x, as seen from above: 90° is behind the crop.
+        sun_elevation_rad: above the horizon. `illuminance_lx` × `sun_fraction` over the sine of the
+            elevation, the sunlight on a plane that faces the sun, is at most 10⁶ lx.
         sun_fraction: fraction of the illuminance that comes from the sun: from its disc and, below a hazy
             cover, from around it.
         cloud_cover: fraction of the sky that clouds cover.
-        cover: shipped name or path, or "none".
+        cover: of the greenhouse: a shipped one (`float_glass_4mm`, `diffuse_glass_4mm`, `polyethylene_film`),
+            the path of a file, or `none`. It filters the light, and a hazy one scatters it.
     """
 
     # Chosen: at least a moonless, overcast night.
-    illuminance_lx: Annotated[float, within(0, 200_000), zero_or_at_least(1e-4)]
+    illuminance_lx: Annotated[float, within(0, 200_000), ZeroOrAtLeast(1e-4)]
     sun_azimuth_rad: Annotated[float, within(-360, 360), DEGREES] = math.radians(90.0)
     sun_elevation_rad: Annotated[float, within(1, 90), DEGREES] = math.radians(45.0)
     # Chosen: at least far below the sunlight that passes an overcast sky.
-    sun_fraction: Annotated[float, within(0, 0.95), zero_or_at_least(1e-6)] = 0.0
+    sun_fraction: Annotated[float, within(0, 0.95), ZeroOrAtLeast(1e-6)] = 0.0
     cloud_cover: Fraction = 0.5
     cover: Name = NONE
 

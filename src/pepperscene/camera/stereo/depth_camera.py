@@ -23,18 +23,16 @@ class StereoMatching(Table):
     The penalties are those that OpenCV's documentation recommends: 8 and 32 times the pixels of a block.
 
     Attributes:
-        disparities: number of disparities that are compared, from 0; a multiple of 16. It limits the nearest
-            depth.
+        disparities: disparities that are compared, in pixels; the nearest depth is `fx` × baseline over it.
         block_px: side of the block of pixels that is compared; odd.
-        refined_px: side of the window over which disparities are refined to fractions of a pixel; odd, or 0
-            for those of semi-global matching, which are drawn to whole pixels.
+        refined_px: side of the window in which disparities are refined to fractions of a pixel; odd, or 0 for
+            none.
         uniqueness_percent: by how much the best cost must be below that of any other disparity.
-        least_correlation: of the slopes of the two images in the window of `refined_px`; less is a hole. The
-            default is chosen: images of noise alone reach 0.38.
-        left_right_px: largest difference of the disparities that the left and the right image find for the
-            same point; more is a hole.
-        speckle_px: connected pixels of similar disparity that are holes if they are fewer; 0 keeps all.
-        farthest_m: depths beyond it are holes.
+        least_correlation: of the slopes of both images in that window; less is a hole.
+        left_right_px: largest difference between the disparities of the left and of the right image; more is
+            a hole.
+        speckle_px: regions of fewer connected pixels are holes.
+        farthest_m: farther points are holes.
     """
 
     # Chosen: at most half of the columns of usual images.
@@ -42,6 +40,7 @@ class StereoMatching(Table):
     block_px: Annotated[int, within(1, 21)] = 7
     refined_px: Annotated[int, within(0, 51)] = 9
     uniqueness_percent: Annotated[int, within(0, 100)] = 10
+    # Chosen: images of noise alone reach 0.38.
     least_correlation: Annotated[float, within(-1, 1)] = 0.4
     left_right_px: Annotated[float, within(0, 100)] = 1.0
     speckle_px: Annotated[int, within(0, 100_000)] = 100
