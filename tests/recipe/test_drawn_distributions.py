@@ -10,9 +10,15 @@ import pytest
 from scipy import stats
 
 from pepperscene.recipe.plan import Plan
-from pepperscene.recipe.variation.goodness_of_fit import as_number, distinct_draws, goodness_of_fit
 from pepperscene.recipe.variation.notation import parse_varied
-from pepperscene.recipe.variation.recorded import read_variation, recorded_draws, same_value
+from pepperscene.recipe.variation.recorded import (
+    as_number,
+    distinct_draws,
+    goodness_of_fit,
+    read_variation,
+    recorded_draws,
+    same_value,
+)
 from pepperscene.recipe.variation.varied import as_json, draw_values
 
 PLAN = Plan(sets=1, rotations=1, frames=2000)

@@ -17,9 +17,8 @@ from pepperscene.errors import InputError
 from pepperscene.geometry import Mesh
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.views import random_views
-from pepperscene.recipe.views.aim import aimed_rotations, directions, image_rays
 from pepperscene.recipe.views.free_space import FreeSpace, closed_parts, winding_number
-from pepperscene.recipe.views.random_views import random_view
+from pepperscene.recipe.views.random_views import aimed_rotations, directions, image_rays, random_view
 from pepperscene.recipe.views.targets import RIPE_FROM, target_instances
 from pepperscene.recipe.views_tables import RandomViews
 from pepperscene.render import Renderer

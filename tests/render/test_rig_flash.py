@@ -10,8 +10,8 @@ from bodies import axis_camera, even_lamp, matt, sheet
 from scipy.spatial.transform import Rotation
 
 from pepperscene.camera import AngularProfile, Camera, load_flash, load_lens, load_sensor, look_at
+from pepperscene.recipe.camera_tables import RigCamera
 from pepperscene.recipe.resolve.camera_views import _with_flash_of_rig
-from pepperscene.recipe.rig import RigCamera
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.kernel.camera import RayPose, camera_rays
 from pepperscene.render.transport.lights import FlashSampler

@@ -15,8 +15,8 @@ from varied_set import FRAMES, make_varied_set
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError
 from pepperscene.recipe.plan import FrameSpec, Plan
-from pepperscene.recipe.variation.goodness_of_fit import as_number
 from pepperscene.recipe.variation.notation import parse_varied
+from pepperscene.recipe.variation.recorded import as_number
 from pepperscene.recipe.variation.varied import as_json, draw_values
 from pepperscene.review.report import write_report
 from pepperscene.review.report.data import DrawnRecords, Moments, frame_records

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pepperscene.scene import partly_cloudy_sky, uniform_sky
-from pepperscene.scene.sky import SUN_ANGULAR_RADIUS
-from pepperscene.scene.sky_luminance import _sum_of_waves
+from pepperscene.scene.sky import SUN_ANGULAR_RADIUS, _sum_of_waves
 from pepperscene.spectra import Spectrum, sky_spectrum
 
 PAPER = {

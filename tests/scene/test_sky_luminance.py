@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pepperscene.scene import partly_cloudy_sky
-from pepperscene.scene.sky_luminance import cloud_opacity, diffuse_lux, standard_sky
+from pepperscene.scene.sky import cloud_opacity, diffuse_lux, standard_sky
 from pepperscene.spectra import Spectrum, read_spectra
 
 ELEVATION = np.radians(40.0)

@@ -9,8 +9,7 @@ from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import cultivar_files
 from pepperscene.cultivar.notation import Ratio, parse_distribution
 from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Blade, Fruit, OrganForm, OrganKind, OrganModel
-from pepperscene.cultivar.slot import Slot
-from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem
+from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Slot, Stem
 
 __all__ = [
     "CALYX",

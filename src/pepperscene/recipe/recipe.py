@@ -15,9 +15,16 @@ from pepperscene import atomic
 from pepperscene.camera import Developing
 from pepperscene.document import Document, read_toml
 from pepperscene.recipe import tables
-from pepperscene.recipe.camera_tables import AUTO, AutoExposureTable, CameraTable, DepthCameraTable
+from pepperscene.recipe.camera_tables import (
+    AUTO,
+    MOST_CAMERAS,
+    AutoExposureTable,
+    CameraTable,
+    DepthCameraTable,
+    RigCamera,
+    Twins,
+)
 from pepperscene.recipe.plan import Plan, check_seed
-from pepperscene.recipe.rig import MOST_CAMERAS, RigCamera, Twins
 from pepperscene.recipe.variation.varied import Varied
 from pepperscene.recipe.views_tables import ViewsTable
 from pepperscene.scene import Daylight, DoubleRow, Greenhouse, Twine

@@ -1,10 +1,16 @@
 """Scenes as plain data: plant rows, greenhouse, sky and cover, and the culling of invisible geometry."""
 
 from pepperscene.scene.cover import Cover, load_cover
-from pepperscene.scene.culling import LightReach, combine_reaches, cull_mesh, light_reach
+from pepperscene.scene.culling import (
+    LightReach,
+    ViewFrustums,
+    combine_reaches,
+    cull_mesh,
+    light_reach,
+    view_frustums,
+)
 from pepperscene.scene.far_rows import FarRow, coarsen_plant, draw_far_rows, far_row_meshes
 from pepperscene.scene.floor import leaf_area_index
-from pepperscene.scene.frustum import ViewFrustums, view_frustums
 from pepperscene.scene.greenhouse import (
     Greenhouse,
     Posture,

@@ -20,9 +20,8 @@ from pepperscene.camera.metadata import (
 )
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
-from pepperscene.recipe.camera_tables import CameraTable
+from pepperscene.recipe.camera_tables import CameraTable, RigCamera
 from pepperscene.recipe.plan import MAX_FRAMES, Plan
-from pepperscene.recipe.rig import RigCamera
 from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.scene import Daylight, DoubleRow, Greenhouse
 

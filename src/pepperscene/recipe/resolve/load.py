@@ -17,8 +17,7 @@ from pepperscene.errors import ArgumentError, InputError
 from pepperscene.recipe.recipe import FILE_FOLDERS, Recipe
 from pepperscene.recipe.resolve.load_camera import NamedFiles
 from pepperscene.recipe.resolve.merge import merge_layer, merge_tables
-from pepperscene.recipe.resolve.outcomes import check_outcomes
-from pepperscene.recipe.resolve.parse import parse_recipe
+from pepperscene.recipe.resolve.parse import check_outcomes, parse_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe, load_files
 from pepperscene.recipe.variation.extract import table_model
 from pepperscene.shipped import find_file

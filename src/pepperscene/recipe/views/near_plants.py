@@ -46,7 +46,7 @@ class NearViews:
 
 def near_views(cameras: Iterable[Camera]) -> NearViews:
     """The near views of cameras, wherever they are during their exposures."""
-    from pepperscene.scene.frustum import view_sides
+    from pepperscene.scene.culling import view_sides
 
     normals, offsets, positions, reaches = [], [], [], []
     for camera in cameras:

@@ -11,8 +11,13 @@ import numpy as np
 from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.recipe.camera_tables import AUTO
 from pepperscene.recipe.plan import Plan
-from pepperscene.recipe.variation.goodness_of_fit import as_number, distinct_draws, goodness_of_fit
-from pepperscene.recipe.variation.recorded import read_variation, recorded_twins
+from pepperscene.recipe.variation.recorded import (
+    as_number,
+    distinct_draws,
+    goodness_of_fit,
+    read_variation,
+    recorded_twins,
+)
 from pepperscene.review.check.one_frame import FrameTraits
 from pepperscene.review.check.whole_set import STATISTICS, describe_statistic, known_values
 

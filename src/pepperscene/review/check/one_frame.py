@@ -32,8 +32,8 @@ from pepperscene.dataset.store.manifest import (
 from pepperscene.document import validate
 from pepperscene.errors import InputError, short_repr
 from pepperscene.outputs import OUTPUTS
+from pepperscene.recipe.camera_tables import FIRST_CAMERA
 from pepperscene.recipe.plan import FrameSpec, Plan, frame_seed
-from pepperscene.recipe.rig import FIRST_CAMERA
 from pepperscene.recipe.variation.recorded import read_variation, recorded_draws, recorded_twins, same_value
 from pepperscene.review.check.edges import CHANCE, EdgeMatch, match_edges
 from pepperscene.review.check.findings import Finding, camera_integer, json_object

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from pepperscene.recipe.camera_tables import FIRST_CAMERA
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.frame_setups import changed_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
-from pepperscene.recipe.rig import FIRST_CAMERA
 from pepperscene.recipe.tables import PLANT_TABLES
-from pepperscene.recipe.views.aim import image_rays
+from pepperscene.recipe.views.random_views import image_rays
 from pepperscene.units import file_values
 
 if TYPE_CHECKING:

@@ -29,10 +29,9 @@ from pepperscene.dataset.store.manifest import (
     table_schema,
 )
 from pepperscene.errors import OutputError
+from pepperscene.recipe.camera_tables import FIRST_CAMERA
 from pepperscene.recipe.plan import Plan, moments
-from pepperscene.recipe.rig import FIRST_CAMERA
-from pepperscene.recipe.variation.goodness_of_fit import as_number
-from pepperscene.recipe.variation.recorded import read_variation, recorded_twins
+from pepperscene.recipe.variation.recorded import as_number, read_variation, recorded_twins
 from pepperscene.recipe.variation.varied import Varied, VariedNumber
 from pepperscene.review.report.image_view import Card
 from pepperscene.truth import ImageStatistics

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.recipe.variation.goodness_of_fit import distinct_draws, goodness_of_fit
+from pepperscene.recipe.variation.recorded import distinct_draws, goodness_of_fit
 from pepperscene.recipe.variation.varied import Varied, VariedChoice, VariedInTurn, VariedNumber
 from pepperscene.review.report.charts import step_chart
 from pepperscene.review.report.data import DrawnRecords, SetSummary
