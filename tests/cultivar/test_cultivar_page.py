@@ -12,7 +12,7 @@ from pydantic import BaseModel, TypeAdapter
 from pepperscene.cultivar import Cultivar, Origin, PigmentPath, Pigments, Slot, Stem, load_cultivar
 from pepperscene.cultivar.notation import Angle, Length, Ratio
 from pepperscene.cultivar.organs import MODELS
-from pepperscene.cultivar.structure import Descent, Flush
+from pepperscene.cultivar.slot import Descent, Flush
 from pepperscene.shipped import shipped_folder
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "cultivar.md").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ from pepperscene.cultivar import Cultivar, Distribution, PigmentPath, Pigments, 
 from pepperscene.cultivar.inheritance import merge_chain, read_chain
 from pepperscene.cultivar.notation import NUMBERS, Number
 from pepperscene.cultivar.organs import MODELS, ResidueShares
-from pepperscene.cultivar.structure import Slot
+from pepperscene.cultivar.slot import Slot
 from pepperscene.document import validate
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.units import is_table, table_fields

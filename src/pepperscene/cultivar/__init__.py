@@ -9,7 +9,8 @@ from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import cultivar_files
 from pepperscene.cultivar.notation import Ratio, parse_distribution
 from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Blade, Fruit, OrganForm, OrganKind, OrganModel
-from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Slot, Stem
+from pepperscene.cultivar.slot import Slot
+from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem
 
 __all__ = [
     "CALYX",

@@ -16,7 +16,8 @@ from pepperscene.cultivar.distribution import Distribution, Origin
 from pepperscene.cultivar.inheritance import check_no_scans, defining_file, merge_chain, read_chain
 from pepperscene.cultivar.notation import Choice
 from pepperscene.cultivar.organs import DEFAULT_KINDS, AnyOrgan, OrganKind
-from pepperscene.cultivar.structure import CALYX, Key, PigmentPath, Pigments, Slot, Stem, check_structure
+from pepperscene.cultivar.slot import Slot
+from pepperscene.cultivar.structure import CALYX, Key, PigmentPath, Pigments, Stem, check_structure
 from pepperscene.document import Document, toml_key, validate
 from pepperscene.errors import InputError
 

@@ -29,7 +29,7 @@ from pepperscene.cultivar.notation import (
     Width,
 )
 from pepperscene.cultivar.scans import FruitScans, ScanAxis, ScanFiles, ScanUnit, ScanWeights
-from pepperscene.cultivar.structure import Slot
+from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
 
 OrganForm = Literal["internode", "node", "stalk", "blade", "peduncle", "calyx", "fruit", "cut", "flower"]

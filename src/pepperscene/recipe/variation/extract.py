@@ -123,7 +123,8 @@ def _override_tables(
 def _integer_keys() -> frozenset[str]:
     """Keys of a cultivar file whose values are integers."""
     from pepperscene.cultivar.organs import MODELS
-    from pepperscene.cultivar.structure import Slot, Stem
+    from pepperscene.cultivar.slot import Slot
+    from pepperscene.cultivar.structure import Stem
 
     fields = (item for model in (Stem, Slot, *MODELS.values()) for item in table_fields(model).items())
     return frozenset(name for name, annotation in fields if set(_plain_types(annotation)) == {int})
