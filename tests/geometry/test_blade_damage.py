@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from blade_meshes import LENGTH, LOBED, WIDTH, areas, blade, organ, random_organ
+from blade_meshes import LENGTH, LOBED, WIDTH, areas, blade, organ, random_organ, signed_areas
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,12 +18,6 @@ SIZE = np.array([WIDTH, LENGTH])
 
 def flat(batch, k=0):
     return batch.uv[k] * SIZE
-
-
-def signed_areas(points, faces):
-    a, b, c = (points[faces[:, corner]] for corner in range(3))
-    (p, q), (r, s) = (b - a).T, (c - a).T
-    return 0.5 * (p * s - q * r)
 
 
 def outline(batch, detail=1.0):

@@ -6,7 +6,21 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from blade_meshes import FLAT, LENGTH, LOBED, WIDTH, areas, blade, droop, edges, organ, random_organ
+from blade_meshes import (
+    FLAT,
+    LENGTH,
+    LOBED,
+    WIDTH,
+    areas,
+    blade,
+    droop,
+    edges,
+    margin,
+    organ,
+    polygon_area,
+    random_organ,
+    signed_areas,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from organ_meshes import check_mesh, mesh_organs
@@ -17,31 +31,16 @@ from pepperscene.geometry.blade.grid import blade_grid
 from pepperscene.grammar.plant import Organ
 
 
-def flat_areas(batch):
-    """Doubled signed areas of the triangles on the flat leaf, negative if inverted."""
-    a, b, c = (batch.uv[:, batch.faces[:, corner]] for corner in range(3))
-    (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
-    return p * s - q * r
-
-
-def margin(batch, k=0):
-    """The blade's edge as a closed polygon, in the order of its points."""
-    directed = edges(batch.faces).tolist()
-    opposite = {(b, a) for a, b in directed}
-    successor = {a: b for a, b in directed if (a, b) not in opposite}
-    line = [0]
-    while (point := successor[line[-1]]) != 0:
-        line.append(point)
-    assert len(line) == len(successor)
-    return batch.vertices[k][line]
-
-
 def distance(points, polygon):
     """Distance of each point from a closed polygon."""
     start, step = polygon, np.roll(polygon, -1, axis=0) - polygon
     offset = points[:, None] - start
     fraction = np.clip((offset * step).sum(axis=2) / (step * step).sum(axis=1), 0.0, 1.0)
     return np.linalg.norm(offset - fraction[..., None] * step, axis=2).min(axis=1)
+
+
+def outline(batch, k=0):
+    return margin(batch.vertices[k], batch.faces)[:, :2]
 
 
 def hausdorff(one, other):
@@ -89,16 +88,11 @@ def test_blade_is_widest_at_the_stated_place(widest, base):
 def test_outline_is_the_same_at_every_detail(measures, tolerance, rel, seed):
     """The polygons differ by half a millimetre on a pepper's leaf; slits between lobes may be cut short."""
     *coarser, finest = (
-        margin(blade(detail=detail, seed=seed, **measures))[:, :2] for detail in (0.3, 0.5, 1.0, 2.0)
+        outline(blade(detail=detail, seed=seed, **measures)) for detail in (0.3, 0.5, 1.0, 2.0)
     )
-
-    def area(line):
-        x, y = line.T
-        return 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
-
     for line in coarser:
         assert hausdorff(line, finest) < tolerance * LENGTH
-        assert area(line) == pytest.approx(area(finest), rel=rel)
+        assert polygon_area(line) == pytest.approx(polygon_area(finest), rel=rel)
 
 
 @pytest.mark.parametrize("detail", [0.3, 0.5, 1.0])
@@ -107,19 +101,21 @@ def test_outline_of_random_blades_is_the_same_at_every_detail(detail):
     blades = [random_organ(rng) for _ in range(6)]
     coarse, fine = mesh_blades(blades, detail), mesh_blades(blades, 2.0)
     for k in range(len(blades)):
-        assert hausdorff(margin(coarse, k), margin(fine, k)) < 0.025 * LENGTH
+        assert (
+            hausdorff(*(margin(batch.vertices[k], batch.faces) for batch in (coarse, fine))) < 0.025 * LENGTH
+        )
 
 
 def test_outline_is_smooth():
     """No corner of the margin at detail 1 turns by more than 12 degrees, except at base and tip."""
-    step = np.diff(margin(blade())[:, :2], axis=0)
+    step = np.diff(outline(blade()), axis=0)
     turn = np.degrees(np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0])))))
     assert np.sort(turn)[:-4].max() < 12.0
 
 
 def test_lobes_point_to_the_tip():
     """Each half has several notches; the lobes between them lean forward."""
-    line = margin(blade(detail=2.0, widest=0.3, **LOBED))[:, :2]
+    line = outline(blade(detail=2.0, widest=0.3, **LOBED))
     right = line[: line[:, 1].argmax()]
     x = right[:, 0]
     tops = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] > x[2:])) + 1
@@ -165,12 +161,13 @@ def test_grid_is_one_disc(detail, lobes):
 def test_no_triangle_of_a_flat_blade_is_inverted(aspect, base, detail):
     for widest in (0.25, 0.35, 0.45):
         flat = blade(width_m=aspect * LENGTH, base=base, widest=widest, asymmetry=0.05, detail=detail)
-        assert flat_areas(flat).min() > 0.0
+        assert signed_areas(flat.uv, flat.faces).min() > 0.0
 
 
 @pytest.mark.parametrize("seed", [0.05, 0.5, 0.77])
 def test_lobes_invert_hardly_any_triangle(seed):
-    area = flat_areas(blade(seed=seed, base=0.7, widest=0.32, **LOBED))
+    batch = blade(seed=seed, base=0.7, widest=0.32, **LOBED)
+    area = signed_areas(batch.uv, batch.faces)
     assert area[area < 0.0].sum() > -0.001 * area.sum()
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from blade_meshes import edges, organ
+from blade_meshes import edges, margin, organ, polygon_area, signed_areas
 from organ_meshes import check_mesh, mesh_organs
 
 from pepperscene.geometry.blade.blades import mesh_blades
@@ -28,29 +28,6 @@ def palmate(**measures):
 def flat(*organs, detail=1.0):
     batch = mesh_blades(organs, detail)
     return batch.vertices[..., :2], batch
-
-
-def margin(points, faces):
-    """The edge of a blade as a closed polygon `(m, 2)` from the base, along the right margin to the tip."""
-    directed = edges(faces).tolist()
-    opposite = {(b, a) for a, b in directed}
-    successor = {a: b for a, b in directed if (a, b) not in opposite}
-    line = [0]
-    while (point := successor[line[-1]]) != 0:
-        line.append(point)
-    assert len(line) == len(successor)
-    return points[line]
-
-
-def area(line):
-    x, y = line.T
-    return 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
-
-
-def triangle_areas(points, faces):
-    a, b, c = (points[..., faces[:, corner], :] for corner in range(3))
-    (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
-    return p * s - q * r
 
 
 def lobes_of(line, sinus):
@@ -86,13 +63,13 @@ def test_the_outline_is_the_same_at_every_detail(detail):
         (points, batch), (reference, own) = (
             flat(palmate(seed=seed), detail=value) for value in (detail, 1.0)
         )
-        expected = area(margin(reference[0], own.faces))
-        assert area(margin(points[0], batch.faces)) == pytest.approx(expected, rel=0.01)
+        expected = polygon_area(margin(reference[0], own.faces))
+        assert polygon_area(margin(points[0], batch.faces)) == pytest.approx(expected, rel=0.01)
 
 
 def test_a_deeper_notch_leaves_less_tissue():
     shallow, deep = (
-        area(margin(points[0], batch.faces))
+        polygon_area(margin(points[0], batch.faces))
         for points, batch in (flat(palmate(lobe_depth=depth)) for depth in (0.05, 0.2))
     )
     assert 0.75 * shallow < deep < 0.95 * shallow
@@ -106,7 +83,7 @@ def test_teeth_are_cut_into_the_margin_only():
     assert set(moved) < set(grid.margin_vertices.ravel().tolist())
     line = margin(smooth[0], batch.faces)
     length = np.linalg.norm(np.diff(line, axis=0, append=line[:1]), axis=1).sum()
-    lost = (area(line) - area(margin(toothed[0], batch.faces))) / length
+    lost = (polygon_area(line) - polygon_area(margin(toothed[0], batch.faces))) / length
     assert 0.15 * TEETH["tooth_depth_m"] < lost < 0.5 * TEETH["tooth_depth_m"]
 
 
@@ -126,7 +103,7 @@ def test_no_triangle_is_inverted(detail):
         for _ in range(60)
     ]
     points, batch = flat(*blades, detail=detail)
-    assert triangle_areas(points, batch.faces).min() > 0.0
+    assert signed_areas(points, batch.faces).min() > 0.0
 
 
 DAMAGED = {"bites": 4.0, "bite_width_m": 0.012, "tears": 2.0, "ageing": 0.6, "rolled_rad": 1.0}
@@ -178,5 +155,7 @@ def test_texture_coordinates_are_those_of_a_pinnate_blade():
 def test_a_pinnate_blade_beside_a_palmate_one_keeps_its_outline():
     alone, own = flat(organ())
     beside, shared = flat(organ(), palmate())
-    assert area(margin(beside[0], shared.faces)) == pytest.approx(area(margin(alone[0], own.faces)), rel=2e-3)
+    assert polygon_area(margin(beside[0], shared.faces)) == pytest.approx(
+        polygon_area(margin(alone[0], own.faces)), rel=2e-3
+    )
     assert np.ptp(beside[0], axis=0) == pytest.approx(np.ptp(alone[0], axis=0), rel=5e-3)

@@ -194,7 +194,7 @@ def test_triangles_are_close_to_the_shapes_that_they_approximate(kind, grown):
     plant, coarse, fine = grown
     numbers = [number for number, one in enumerate(plant.organs) if one.kind == kind]
     distances = []
-    for number in numbers[:: max(1, len(numbers) // 8)]:
+    for number in numbers[:: max(1, len(numbers) // 4)]:
         surface, exact = (merged(mesh.select_instances([number])) for mesh in (coarse, fine))
         points, _ = trimesh.sample.sample_surface(exact, int(exact.area / 3e-3**2), seed=1)
         distances.append(trimesh.proximity.closest_point(surface, points)[1])

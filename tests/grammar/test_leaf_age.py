@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from pepperscene.grammar import draw_parameters
 PLANTS = 60
 
 
+@cache
 def blades(name: str) -> tuple[dict[str, np.ndarray], np.ndarray, int]:
     """Values of the stem's leaves of many plants, their phytomers, and the number of mature phytomers."""
     cultivar = load_cultivar(name)

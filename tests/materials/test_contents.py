@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pepperscene.cultivar import load_cultivar
-from pepperscene.materials import Surface, organ_surfaces
+from pepperscene.materials import Surface
+from pepperscene.materials.surface import rind_contents
 
 RIND = {"chlorophyll", "carotenoids"}
 
@@ -37,12 +38,11 @@ def test_rows_hold_the_contents_of_their_states(kaite, surfaces, name):
         )
 
 
-def test_red_carotenoids_of_fruit_count(nm):
-    red = load_cultivar("red_blocky")
-    fruit = organ_surfaces(red, nm[::40])["fruit"].contents
-    end = red.pigments["fruit"].end
-    assert fruit["carotenoids"][-1] == end.carotenoid_ug_cm2 + end.capsanthin_ug_cm2
-    assert fruit["carotenoids"][-1] > 10.0 * end.carotenoid_ug_cm2
+def test_red_carotenoids_of_fruit_count():
+    red = load_cultivar("red_blocky").pigments["fruit"]
+    (carotenoids,) = rind_contents(red, np.array([1.0]))["carotenoids"]
+    assert carotenoids == red.end.carotenoid_ug_cm2 + red.end.capsanthin_ug_cm2
+    assert carotenoids > 10.0 * red.end.carotenoid_ug_cm2
 
 
 @pytest.mark.parametrize("amounts", [np.ones(2), np.full(9, np.nan), np.full(9, -1.0), np.ones((9, 1))])

@@ -7,6 +7,7 @@ from plant_colours import at, lab, lab_hue
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.cultivar.organs import DEFAULT_KINDS
 from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, organs, rind_reflectance
+from pepperscene.materials.leaf import leaf_surface
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}
 DRY = {"dry_shoot"}
@@ -129,25 +130,32 @@ def test_makes_only_the_surfaces_of_kinds_that_grow(nm):
     assert petal.transmittance.max() > 0.1
     # Tomato petals are yellow; those of sweet pepper nearly white, and brighter.
     assert 75 < lab_hue(petal.reflectance[-1, 0], nm) < 110
-    white = organ_surfaces(load_cultivar("kaite_february"), nm)["petal"].reflectance[-1, 0]
+    path = load_cultivar("kaite_february").pigments["petal"]
+    white = leaf_surface("petal", path, nm).reflectance[-1, 0]
     lightness, *ab = lab(white, nm)
     assert np.hypot(*ab) < 15
     assert lightness > lab(petal.reflectance[-1, 0], nm)[0]
 
 
-def test_a_surface_may_have_any_name(kaite, nm):
-    """A second kind of leaf with its own pigments is a leaf with its own pattern."""
+def test_changed_organs_have_changed_surfaces(surfaces, kaite, nm):
+    """A second kind of leaf with its own pigments has its own pattern, `relief` scales heights, and a coarse
+    grid samples the fine one."""
     young = kaite.organs["shoot_lamina"].model_copy(update={"surface": "young_leaf"})
+    lamina = kaite.organs["lamina"].model_copy(update={"relief": 0.5})
     cultivar = kaite.model_copy(
         update={
-            "organs": kaite.organs | {"shoot_lamina": young},
+            "organs": kaite.organs | {"shoot_lamina": young, "lamina": lamina},
             "pigments": kaite.pigments | {"young_leaf": kaite.pigments["leaf"]},
         }
     )
-    surfaces = organ_surfaces(cultivar, nm)
-    assert surfaces["young_leaf"].name == "young_leaf"
-    assert surfaces["young_leaf"].reflectance.tobytes() == surfaces["leaf"].reflectance.tobytes()
-    assert not np.array_equal(surfaces["young_leaf"].pattern, surfaces["leaf"].pattern)
+    changed = organ_surfaces(cultivar, nm[::8])
+    assert changed["young_leaf"].name == "young_leaf"
+    assert changed["young_leaf"].reflectance.tobytes() == changed["leaf"].reflectance.tobytes()
+    assert not np.array_equal(changed["young_leaf"].pattern, changed["leaf"].pattern)
+    np.testing.assert_array_equal(changed["leaf"].relief_mm, 0.5 * surfaces["leaf"].relief_mm)
+    for name, surface in (changed | greenhouse_surfaces(nm[::8])).items():
+        expected = surfaces[name.removeprefix("young_")].reflectance[..., ::8]
+        assert surface.reflectance == pytest.approx(expected, abs=1e-12)
 
 
 def test_ribs_run_along_the_organ_and_are_gentle(surfaces, kaite):
@@ -175,17 +183,3 @@ def test_is_deterministic_and_independent_of_threads(surfaces, kaite: Cultivar, 
     for name, surface in (serial | greenhouse_surfaces(nm)).items():
         for field in ("reflectance", "transmittance", *MAPS):
             assert np.array_equal(getattr(surface, field), getattr(surfaces[name], field)), (name, field)
-
-
-def test_a_coarse_grid_samples_the_fine_one(surfaces, kaite, nm):
-    coarse = organ_surfaces(kaite, nm[::8]) | greenhouse_surfaces(nm[::8])
-    for name, surface in coarse.items():
-        assert surface.reflectance == pytest.approx(surfaces[name].reflectance[..., ::8], abs=1e-12)
-
-
-def test_relief_of_leaves_is_that_of_sweet_pepper_times_a_factor(surfaces, kaite):
-    """`relief` of a kind of blade, which is 1 by default."""
-    lamina = kaite.organs["lamina"].model_copy(update={"relief": 0.5})
-    low = kaite.model_copy(update={"organs": {**kaite.organs, "lamina": lamina}})
-    half = organ_surfaces(low, [550.0])["leaf"].relief_mm
-    np.testing.assert_array_equal(half, 0.5 * surfaces["leaf"].relief_mm)

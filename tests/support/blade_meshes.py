@@ -48,3 +48,27 @@ def edges(faces):
 def areas(batch):
     a, b, c = (batch.vertices[:, batch.faces[:, corner]] for corner in range(3))
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=2)
+
+
+def signed_areas(points, faces):
+    """Areas of triangles of plane points `(..., v, 2)`, negative if inverted."""
+    a, b, c = (points[..., faces[:, corner], :] for corner in range(3))
+    (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
+    return 0.5 * (p * s - q * r)
+
+
+def margin(points, faces):
+    """The edge of a blade `(m, ...)` as a closed polygon from the base, along the right margin to the tip."""
+    directed = edges(faces).tolist()
+    opposite = {(b, a) for a, b in directed}
+    successor = {a: b for a, b in directed if (a, b) not in opposite}
+    line = [0]
+    while (point := successor[line[-1]]) != 0:
+        line.append(point)
+    assert len(line) == len(successor)
+    return points[line]
+
+
+def polygon_area(line):
+    x, y = line.T
+    return 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))

@@ -76,9 +76,7 @@ def mesh_files(mesh: Mesh, name: str, colours: Colours = "natural") -> dict[str,
     Args:
         mesh: in metres.
         name: of the file; its suffix selects the format.
-        colours: of the materials of a GLB: "natural" for those of the mesh's cultivar and of a greenhouse in
-            daylight, "class" for those of the classes, or `(k, 3)` linear sRGB of surfaces by name, at
-            `linspace(0, 1, k)` of their pigment state. Other surfaces get the colour of their class.
+        colours: as for `write_mesh`.
 
     Returns:
         Content by file name, that of `name` first; the same mesh gives the same bytes.

@@ -206,11 +206,8 @@ class Mesh:
         used[old_faces] = True
         surfaces, face_surface = np.unique(self.face_surface[kept], return_inverse=True)
         appearances, face_appearance = np.unique(self.face_appearance[kept], return_inverse=True)
-        return Mesh(
-            vertices=self.vertices[used],
-            normals=self.normals[used],
-            uv=self.uv[used],
-            state=self.state[used],
+        return replace(
+            self._with_vertices(np.flatnonzero(used)),
             faces=(np.cumsum(used) - 1)[old_faces].astype(np.uint32),
             face_instance=new_index[self.face_instance[kept]].astype(np.uint32),
             face_surface=face_surface.astype(np.uint8),
@@ -221,8 +218,6 @@ class Mesh:
                 for item in (self.instances[index] for index in indices)
             ),
             appearances=tuple(self.appearances[index] for index in appearances),
-            colour=self.colours_of(used),
-            cultivars=self.cultivars,
         )
 
     def without_triangles(self, instances: IndexArray) -> Mesh:
@@ -234,17 +229,22 @@ class Mesh:
         faces = self.faces.take(kept, axis=0)
         is_used = np.zeros(len(self.vertices), dtype=bool)
         is_used[faces] = True
-        used = np.flatnonzero(is_used)
+        return replace(
+            self._with_vertices(np.flatnonzero(is_used)),
+            faces=(np.cumsum(is_used, dtype=np.uint32) - np.uint32(1))[faces],
+            face_instance=self.face_instance.take(kept),
+            face_surface=self.face_surface.take(kept),
+            face_appearance=self.face_appearance.take(kept),
+        )
+
+    def _with_vertices(self, used: IndexArray) -> Mesh:
+        """The mesh with some of its vertices; its faces still count all."""
         return replace(
             self,
             vertices=self.vertices.take(used, axis=0),
             normals=self.normals.take(used, axis=0),
             uv=self.uv.take(used, axis=0),
             state=self.state.take(used),
-            faces=(np.cumsum(is_used, dtype=np.uint32) - np.uint32(1))[faces],
-            face_instance=self.face_instance.take(kept),
-            face_surface=self.face_surface.take(kept),
-            face_appearance=self.face_appearance.take(kept),
             colour=self.colours_of(used),
         )
 

@@ -38,8 +38,9 @@ _CONSTANTS: Final[Mapping[OrganForm, tuple[str, ...]]] = {
 }
 """Parameters that are equal for all organs of a kind."""
 
+_WITH_SIZE: Final = {"length": 1, "width": 1}
 _WITH_AGE: Final = {"residue": 1, "ageing": 1, "bites": 1, "tears": 1, "droop": 1, "inclination": -1}
-"""Parameters of a blade that change with its age, and whether they rise or fall."""
+"""Parameters of a blade that change with its size or its age, and whether they rise or fall."""
 
 _RIPENESS: Final = ("ripe_fraction", "ripe_descent", "breaker_fraction", "unripe", "breaker", "ripe")
 _CALYX: Final = ("calyx_radius", "calyx_tooth", "calyx_state", "calyx_seed")
@@ -206,22 +207,16 @@ def _draw_values(model: OrganModel, address: Addresses, positions: FloatArray) -
     # Many parameters are constants: skip their random numbers and quantile functions for speed.
     drawn = tuple(name for name, distribution in distributions.items() if distribution.family != "value")
     uniform = dict(zip(drawn, uniforms(address, drawn), strict=True)) if drawn else {}
-    correlation = getattr(model, "size_correlation", 0.0)
-    if correlation > 0.0:
-        # A Gaussian copula: each value still follows its own distribution.
-        from scipy.special import ndtr, ndtri
+    # Gaussian copulas: each value still follows its own distribution.
+    for common, signs in (("size", _WITH_SIZE), ("age", _WITH_AGE)):
+        correlation = getattr(model, f"{common}_correlation", 0.0)
+        if correlation > 0.0:
+            from scipy.special import ndtr, ndtri
 
-        common = math.sqrt(correlation) * ndtri(uniforms(address, "size"))
-        for name in {"length", "width"} & uniform.keys():
-            uniform[name] = ndtr(common + math.sqrt(1.0 - correlation) * ndtri(uniform[name]))
-    correlation = getattr(model, "age_correlation", 0.0)
-    if correlation > 0.0:
-        from scipy.special import ndtr, ndtri
-
-        age = math.sqrt(correlation) * ndtri(uniforms(address, "age"))
-        for name in _WITH_AGE.keys() & uniform.keys():
-            sign = _WITH_AGE[name]
-            uniform[name] = ndtr(sign * age + math.sqrt(1.0 - correlation) * ndtri(uniform[name]))
+            shared = math.sqrt(correlation) * ndtri(uniforms(address, common))
+            for name in signs.keys() & uniform.keys():
+                own = math.sqrt(1.0 - correlation) * ndtri(uniform[name])
+                uniform[name] = ndtr(signs[name] * shared + own)
     return {
         name: distribution.quantiles(uniform[name], positions)
         if name in uniform

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.materials.patterns import noise_mm
+from pepperscene.materials.rind import absorption_per_scattering, thick_reflectance
 from pepperscene.materials.surface import Surface
 from pepperscene.spectra import read_spectrum
 from pepperscene.spectra.spectrum import FloatArray
@@ -85,18 +86,13 @@ def twine_surface(wavelength_nm: ArrayLike) -> Surface:
     """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
     fabric = read_spectrum(*WHITE_FABRIC, outside="hold").at(nm)
-    crown, dusty = (_thick_reflectance(fabric, dust) for dust in (TWINE_DUST, 4.0 * TWINE_DUST))
+    clean = absorption_per_scattering(fabric)
+    crown, dusty = (thick_reflectance(clean + dust) for dust in (TWINE_DUST, 4.0 * TWINE_DUST))
     # Light leaves at once, or after one or more reflections at the other strand.
     furrow = 0.5 * dusty / (1.0 - 0.5 * dusty)
     rows = np.repeat(np.stack([furrow, crown])[:, None], 2, axis=1)
     pattern, relief_mm = _strands()
     return Surface("twine", nm, rows, np.zeros((2, nm.size)), pattern=pattern, relief_mm=relief_mm)
-
-
-def _thick_reflectance(clean: FloatArray, dust: float) -> FloatArray:
-    """Reflectance of a thick body with the K/S of one of reflectance `clean`, plus `dust`."""
-    ratio = (1.0 - clean) ** 2 / (2.0 * clean) + dust
-    return np.asarray(1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio))
 
 
 def _strands() -> tuple[NDArray[np.float32], NDArray[np.float32]]:

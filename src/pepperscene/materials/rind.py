@@ -64,17 +64,17 @@ def flesh_reflectance(dry_reflectance: float, wavelength_nm: ArrayLike) -> Float
     if dry_reflectance == 0.0:
         return np.zeros(nm.size)
     water_per_cm = absorption_coefficients(nm)["water"]
-    dry = _absorption_per_scattering(dry_reflectance)
-    return _thick_reflectance(dry + 2.0 * WATER_FRACTION * water_per_cm / (0.75 * SCATTERING_PER_CM))
+    dry = absorption_per_scattering(dry_reflectance)
+    return thick_reflectance(dry + 2.0 * WATER_FRACTION * water_per_cm / (0.75 * SCATTERING_PER_CM))
 
 
-def _absorption_per_scattering(reflectance: FloatArray | float) -> FloatArray:
+def absorption_per_scattering(reflectance: FloatArray | float) -> FloatArray:
     """K/S of a thick body of this reflectance R: (1 - R)^2 / (2 R) (Kubelka & Munk 1931)."""
     return np.asarray((1.0 - reflectance) ** 2 / (2.0 * reflectance))
 
 
-def _thick_reflectance(ratio: FloatArray) -> FloatArray:
-    """Reflectance of a thick body of this K/S; inverse of `_absorption_per_scattering`."""
+def thick_reflectance(ratio: FloatArray) -> FloatArray:
+    """Reflectance of a thick body of this K/S; inverse of `absorption_per_scattering`."""
     return np.asarray(1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio))
 
 
@@ -202,7 +202,7 @@ def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:
     infrared = read_spectrum(DRY_INFRARED, infrared_column, outside="hold")
     last_nm = visible.wavelength_nm[-1]
     beyond_nm = infrared.wavelength_nm[infrared.wavelength_nm > last_nm]
-    ratio, last_ratio = (_absorption_per_scattering(infrared.at(nm)) for nm in (beyond_nm, last_nm))
-    extrapolated = _thick_reflectance(ratio / last_ratio * _absorption_per_scattering(visible.values[-1:]))
+    ratio, last_ratio = (absorption_per_scattering(infrared.at(nm)) for nm in (beyond_nm, last_nm))
+    extrapolated = thick_reflectance(ratio / last_ratio * absorption_per_scattering(visible.values[-1:]))
     nm = np.concatenate([visible.wavelength_nm, beyond_nm])
     return Spectrum(nm, np.concatenate([visible.values, extrapolated]), "hold")

@@ -35,24 +35,10 @@ def count_crossings(
     clearance: np.float32,
     by_boxes: bool,
 ) -> IndexArray:
-    """Count the pairs of triangles of organs that cross or are closer than the clearance.
+    """The count of `CoarseTriangles.count`.
 
-    Args:
-        points: `(3, v)` metres, and
-        corners: `(3, f)` indices of these: the triangles of all organs.
-        vertex_runs: first point of each organ, and number of its points.
-        face_runs: first triangle of each organ, and number of its triangles.
-        organ: `(e,)` organs that move,
-        rotation: `(e, 3, 3)` and
-        shift: `(e, 3)` metres: the motion of each.
-        entry: `(n,)` index of the first organ of each pair among these.
-        other: `(n,)` second organ of each pair, which stays.
-        other_boxes: `(n, 6)` metres, lower and upper corners of the second organ's box.
-        clearance: metres.
-        by_boxes: count pairs whose bounding boxes are closer than the clearance.
-
-    Returns:
-        `(n,)` numbers of pairs of triangles.
+    `points` `(3, v)` and `corners` `(3, f)` are the triangles of all organs, in runs; `other_boxes` `(n, 6)`
+    the boxes of the organs `other`; the rest is as there.
     """
     own, own_corners, own_boxes, first = _moved_triangles(
         points, corners, vertex_runs, face_runs, organ, rotation, shift, clearance

@@ -25,16 +25,7 @@ def spheres_near_boxes(
     rotation: SingleArray,
     shift: SingleArray,
 ) -> tuple[IndexArray, SingleArray]:
-    """Boxes that overlap their sphere after transforms.
-
-    Args:
-        low: `(n, 3)` metres, lower corners of the boxes, and
-        high: `(n, 3)` metres, their upper corners.
-        centre: `(n, 3)` and
-        radius: `(n,)` metres: the sphere of each.
-        transform: `(n,)` row of the transforms of each box.
-        rotation: `(t, k, 3, 3)` and
-        shift: `(t, k, 3)` metres: the transforms.
+    """Boxes `(n, 3)` to `(n, 3)` that overlap the sphere of each after some of its transforms `(t, k)`.
 
     Returns:
         `(h,)` index of each box times k plus that of the transform, ascending; and `(h, 3)` the sphere's
@@ -75,15 +66,7 @@ def patches_near_spheres(
     sphere: SingleArray,
     radius: SingleArray,
 ) -> tuple[IndexArray, IndexArray]:
-    """Patches of organs that overlap a sphere.
-
-    Args:
-        first: `(h,)` first patch of each organ, and
-        count: `(h,)` number of its patches.
-        centre: `(3, p)` and
-        patch_radius: `(p,)` metres: bounding spheres of all patches.
-        sphere: `(h, 3)` and
-        radius: `(h,)` metres: the sphere of each organ.
+    """Patches of organs, `first` to `first + count`, whose bounding spheres overlap the sphere of each organ.
 
     Returns:
         `(m,)` index of each patch's organ, and `(m,)` the patches.
@@ -119,21 +102,7 @@ def depths_in_fruit(
     patch: IndexArray,
     stride: int,
 ) -> SingleArray:
-    """Depth of the deepest point of each patch in a fruit; minus infinity where all points are ignored.
-
-    Args:
-        planes: `(f, cells * cells, 4)` of all fruit.
-        cells: along either side of the map of directions.
-        fruit: `(h,)` row in `planes`,
-        matrix: `(h, 3, 3)`,
-        offset: `(h, 3)` metres and
-        limit: `(h,)` metres: of each organ near a fruit, the motion to the fruit's coordinates, and the
-            distance from the fruit's centre beyond which points are ignored.
-        hit: `(m,)` index of each patch's organ among these.
-        points: `(3, p, s)` metres, of all patches.
-        patch: `(m,)`.
-        stride: use every `stride`-th point.
-    """
+    """The depths of `FruitSurfaces.patch_depths`; `planes` `(f, cells * cells, 4)` are those of all fruit."""
     depths = np.empty(len(patch), np.float32)
     for number in range(len(patch)):
         row, item = hit[number], patch[number]
@@ -190,18 +159,7 @@ def depths_in_capsules(
     patch: IndexArray,
     stride: int,
 ) -> SingleArray:
-    """Depth of the deepest point of each patch in a capsule, negative outside.
-
-    Args:
-        start: `(c, 3)` metres,
-        span: `(c, 3)` metres,
-        square: `(c,)` square metres, squared length of the span, and
-        radius: `(c,)` metres of all capsules.
-        capsule: `(m,)` capsule of each patch.
-        points: `(3, p, s)` metres, of all patches.
-        patch: `(m,)`.
-        stride: use every `stride`-th point.
-    """
+    """The depths of `Capsules.depths`; `square` `(c,)` are the squared lengths of the spans."""
     depths = np.empty(len(patch), np.float32)
     for number in range(len(patch)):
         row, item = capsule[number], patch[number]
