@@ -16,7 +16,7 @@ from tracer import Tracer
 
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface
-from pepperscene.render.transport import wavefront
+from pepperscene.render.transport import accumulate
 from pepperscene.scene import Sky, Sun, assemble_scene
 from pepperscene.spectra import Spectrum, scale_to_illuminance, sky_spectrum, sun_spectrum
 
@@ -105,7 +105,7 @@ def test_mean_of_four_samples_equals_that_of_many(four, converged):
 
 def test_mean_does_not_depend_on_the_passes(tracer, converged, monkeypatch):
     # 64 samples in 16 passes of four.
-    monkeypatch.setattr(wavefront, "_LANES", 4 * 32 * 24)
+    monkeypatch.setattr(accumulate, "_LANES", 4 * 32 * 24)
     many, few = tracer.parts(64, 4, 24), tracer.parts(4, 4, 24)
     assert_same_mean(many, converged)
     # Passes that repeat the first one would have the noise of four samples.

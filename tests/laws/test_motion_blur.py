@@ -12,7 +12,7 @@ from pepperscene.camera import AngularProfile, Camera, Flash, Motion
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import QUALITIES, Quality, Renderer
-from pepperscene.render.reference.exposure import INSTANTS
+from pepperscene.render.reference.path_tracer import INSTANTS
 from pepperscene.render.transport import strips
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum

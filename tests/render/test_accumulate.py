@@ -9,7 +9,7 @@ import pytest
 from greenhouse import camera, greenhouse
 from tracer import Tracer
 
-from pepperscene.render.transport import wavefront
+from pepperscene.render.transport import accumulate
 from pepperscene.render.transport.accumulate import SampleAccumulator
 
 HEIGHT, WIDTH = 5, 7
@@ -181,7 +181,7 @@ def tracer():
 def test_splitting_into_passes_does_not_change_direct_light(tracer, monkeypatch):
     single = tracer.light(8, 4)
     for lanes in (8, 8 * 100, 8 * 24 * 16 - 1):
-        monkeypatch.setattr(wavefront, "_LANES", lanes)
+        monkeypatch.setattr(accumulate, "_LANES", lanes)
         split = tracer.light(8, 4)
         for part in ("flash", "sky_and_sun", "albedo", "normal", "coverage"):
             assert np.array_equal(getattr(single, part), getattr(split, part)), (part, lanes)

@@ -26,9 +26,9 @@ from pepperscene.render.transport.adaptive import (
     AdaptiveSampler,
     _variance_scale,
     balanced_share,
+    code_response,
     denoised_error,
 )
-from pepperscene.render.transport.code_response import code_response
 from pepperscene.spectra import Spectrum
 
 HEIGHT, WIDTH = 24, 32

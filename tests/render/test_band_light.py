@@ -25,9 +25,9 @@ from pepperscene.errors import InputError
 from pepperscene.outputs import COLOUR_OUTPUTS
 from pepperscene.render import Renderer
 from pepperscene.render.transport.accumulate import TracedLight
+from pepperscene.render.transport.adaptive import code_response
 from pepperscene.render.transport.band_denoise import denoise_bands
 from pepperscene.render.transport.bands import _slots
-from pepperscene.render.transport.code_response import code_response
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Scene
 from pepperscene.spectra import Spectrum

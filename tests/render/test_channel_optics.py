@@ -12,12 +12,12 @@ from pepperscene.camera import Camera
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.render.kernel.camera import spectral_response
-from pepperscene.render.surface.body import BodyPlace
 from pepperscene.render.surface.optics import STEP_NM, Optics, _between_states
+from pepperscene.render.surface.scattering import BodyPlace
 from pepperscene.render.transport import lights
+from pepperscene.render.transport.accumulate import sum_samples
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
-from pepperscene.render.transport.wavefront import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 NM = np.arange(360.0, 831.0, 5.0)

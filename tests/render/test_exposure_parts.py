@@ -10,7 +10,7 @@ from bodies import axis_camera
 
 from pepperscene.camera import Motion
 from pepperscene.render.transport.accumulate import SampleVariance, TracedLight
-from pepperscene.render.transport.exposure import exposure_parts, in_rows, sum_of_parts
+from pepperscene.render.transport.trace import exposure_parts, in_rows, sum_of_parts
 
 SHAPE = (4, 3)
 MOTION = Motion((1.0, 0.0, 0.0))

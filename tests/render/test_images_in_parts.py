@@ -27,8 +27,8 @@ def test_images_do_not_depend_on_the_size_of_their_parts(monkeypatch):
     whole = frame()
     parts = {
         "aov.labels": "_UV_PIXELS",
-        "transport.code_response": "_ROWS_PIXELS",
-        "transport.wavefront": "_LANES",
+        "transport.adaptive": "_ROWS_PIXELS",
+        "transport.accumulate": "_LANES",
     }
     for module, constant in parts.items():
         monkeypatch.setattr(importlib.import_module(f"pepperscene.render.{module}"), constant, 7 * 80 + 3)

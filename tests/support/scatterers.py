@@ -11,8 +11,8 @@ import numpy as np
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.materials.gloss import gloss_albedo
-from pepperscene.render.surface.cuticle import MIN_ALPHA
 from pepperscene.render.surface.optics import Optics
+from pepperscene.render.surface.tables import MIN_ALPHA
 from pepperscene.render.variant import mitsuba_modules
 
 GRID_NM = np.arange(380.0, 961.0, 5.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pepperscene.truth.blossom_end import blossom_end
+from pepperscene.truth.cut_point import blossom_end
 
 STRETCH = np.array([0.03, 0.03, 0.05])
 

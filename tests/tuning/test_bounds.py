@@ -14,7 +14,7 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import InputError
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
-from pepperscene.render.gradients.pigment_models import RANGES
+from pepperscene.render.gradients.tunable import RANGES
 from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.parameters import known_parameters, select_parameters
 from pepperscene.tuning.pigment_paths import CONTENT_FIELDS

@@ -14,7 +14,7 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
-from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES, path_values
+from pepperscene.render.gradients.tunable import CONTENTS, RANGES, path_values
 from pepperscene.tuning.pigment_paths import (
     CONTENT_FIELDS,
     SMOOTHING_RADIUS,

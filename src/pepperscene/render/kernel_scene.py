@@ -20,11 +20,15 @@ from pepperscene.render.kernel.camera import (
 )
 from pepperscene.render.kernel.scene import LightScene, check_surfaces, light_scene, sky_tables, truth_scene
 from pepperscene.render.quality import Quality, check_depth_camera_quality
-from pepperscene.render.reference.exposure import exposed_paths
-from pepperscene.render.reference.path_tracer import PathScene, path_scene, path_traced, samples_taken
+from pepperscene.render.reference.path_tracer import (
+    PathScene,
+    exposed_paths,
+    path_scene,
+    path_traced,
+    samples_taken,
+)
 from pepperscene.render.transport.adaptive import AdaptiveSampler
 from pepperscene.render.transport.denoise import denoised_indirect
-from pepperscene.render.transport.exposure import ExposurePart, exposure_parts
 from pepperscene.render.transport.path_lengths import (
     has_daylight_alone,
     needs_long_paths,
@@ -32,7 +36,7 @@ from pepperscene.render.transport.path_lengths import (
 )
 from pepperscene.render.transport.projection import PROJECTED_SAMPLES, projected_light
 from pepperscene.render.transport.strips import LightPart, trace_in_strips
-from pepperscene.render.transport.trace import Sampling, frame_light, trace
+from pepperscene.render.transport.trace import ExposurePart, Sampling, exposure_parts, frame_light, trace
 from pepperscene.scene import Scene, Sky
 
 TracedSignal = tuple[NDArray[np.float32], dict[str, Any]]
@@ -71,10 +75,10 @@ class KernelScene:
                 return self._expose_paths(camera, quality, sampling, scene)
             return self._expose(camera, quality, parts, response, sampling, scene)
         seed = int(sampling.generate_state(1)[0])
-        trace_with = self._trace_paths if quality.integrator == "path" else self._trace_flash
+        trace_with = self._trace_paths if quality.integrator == "path" else self._trace_samples
         return trace_with(camera, quality, response, seed, scene)
 
-    def _trace_flash(
+    def _trace_samples(
         self, camera: Camera, quality: Quality, response: SpectralResponse, seed: int, scene: Scene
     ) -> TracedSignal:
         """Trace light with our integrator."""

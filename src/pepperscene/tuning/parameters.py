@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.errors import ArgumentError
-from pepperscene.render.gradients.pigment_models import RANGES
 from pepperscene.render.gradients.renderer import FLASH_WEIGHTS
+from pepperscene.render.gradients.tunable import RANGES
 from pepperscene.tuning.bounds import Group, Parameter, prior_distributions
 from pepperscene.tuning.pigment_paths import CONTENT_FIELDS, PATH_ENDS, state_distribution, visible_surfaces
 from pepperscene.tuning.tuned import OFF_DIAGONAL, colour_steps

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.cultivar import CALYX, DEFAULT_KINDS, Fruit, PigmentPath, Pigments
-from pepperscene.render.gradients.pigment_models import CONTENTS, RANGES
+from pepperscene.render.gradients.tunable import CONTENTS, RANGES
 
 if TYPE_CHECKING:
     from pepperscene.cultivar import Cultivar, Distribution

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import pedestal
-from pepperscene.render.gradients.pigment_models import path_values
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
+from pepperscene.render.gradients.tunable import path_values
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.observables import OBSERVABLE_COUNT, SensorModel, observables, standardised_noise
 from pepperscene.tuning.views import OrganView

@@ -16,8 +16,7 @@ from pepperscene.grammar import Organ
 from pepperscene.render.aov.isolated import IsolatedOrgan, IsolatedOrgans
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.scene import Scene, Skeleton
-from pepperscene.truth.blossom_end import blossom_end
-from pepperscene.truth.cut_point import FruitStalk, fruit_stalk, tool_approach
+from pepperscene.truth.cut_point import FruitStalk, blossom_end, fruit_stalk, tool_approach
 from pepperscene.truth.harvest import FruitTruth, LabelView, harvest_truth
 
 _STALK_STEPS: Final = 32  # chosen: pieces of a stalk's centreline, within micrometres of the curve

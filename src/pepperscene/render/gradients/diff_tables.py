@@ -13,8 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.render.gradients.pigment_models import Values
-from pepperscene.render.gradients.tunable import SurfaceTables, Tunable
+from pepperscene.render.gradients.tunable import SurfaceTables, Tunable, Values
 from pepperscene.render.kernel.camera import SpectralResponse
 
 Array = NDArray[np.float64]

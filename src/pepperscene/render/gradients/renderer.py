@@ -14,8 +14,7 @@ from pepperscene.errors import ArgumentError
 from pepperscene.render.arrays import device_array, local_coordinates
 from pepperscene.render.gradients.detached_sampling import SamplePasses
 from pepperscene.render.gradients.diff_tables import DiffTables, Tables
-from pepperscene.render.gradients.pigment_models import RANGES, Values
-from pepperscene.render.gradients.tunable import Parameters, Tunable
+from pepperscene.render.gradients.tunable import RANGES, Parameters, Tunable, Values
 from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import light_scene, sky_tables
 from pepperscene.render.quality import Quality, find_quality

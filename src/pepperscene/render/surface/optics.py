@@ -25,12 +25,21 @@ from pepperscene.materials import Surface
 from pepperscene.materials.gloss import BLUR_NODES, LARGEST_BLUR, TABLE_SIZE
 from pepperscene.materials.surface import AGEING_RANGE
 from pepperscene.render.arrays import channel_array, device_array, device_float, device_uint
-from pepperscene.render.surface.body import BodyPlace, SurfacePlace
-from pepperscene.render.surface.channel_colours import channel_colours, channel_fractions, spectra_rows
-from pepperscene.render.surface.cuticle import cuticle_tables, narrowest_alpha
-from pepperscene.render.surface.microfacets import GlossLobes
 from pepperscene.render.surface.scanned_colours import ScannedColours
-from pepperscene.render.surface.scattering import SideOpenness, SurfacePoint
+from pepperscene.render.surface.scattering import (
+    BodyPlace,
+    GlossLobes,
+    SideOpenness,
+    SurfacePlace,
+    SurfacePoint,
+)
+from pepperscene.render.surface.tables import (
+    channel_colours,
+    channel_fractions,
+    cuticle_tables,
+    narrowest_alpha,
+    spectra_rows,
+)
 from pepperscene.render.surface.textures import TextureSample, TextureTables
 from pepperscene.render.variant import mitsuba_modules
 

@@ -1,7 +1,7 @@
 """Scattering of light by plant organs: a diffuse, possibly translucent body under a rough dielectric cuticle.
 
 Side s of a sheet reflects by the gloss f_g of its cuticle, two GGX lobes with separable Smith masking
-(`pepperscene.render.surface.microfacets`) whose directional albedo is E_s(i), and all light that the gloss
+(`pepperscene.render.surface.scattering`) whose directional albedo is E_s(i), and all light that the gloss
 does not send out (refracted, masked, or sent below the horizon) reaches the body. With the openness
 A_s = 1 - E_s, its cosine-weighted mean a_s = <A_s>, and the body's reflectances R_s and transmittance T
 (fractions of the light that reaches it),
@@ -46,6 +46,21 @@ conserve the energy of a matt body for every slope. All are reciprocal for direc
 surfaces, because l depends on the place alone. For a body under gloss, which sends less light to the horizon,
 l is an upper limit, and gloss below the smooth surface is still lost: together they change the light that a
 lossless surface sends out by less than 1.5 % (`tests/laws/test_furnace.py`).
+
+Gloss of a rough dielectric cuticle: two GGX lobes of the same index on fractions of its area.
+
+Lobe k reflects by single scattering with separable Smith masking (Walter et al. 2007, EGSR),
+
+    f_k(i, o) = D_k(h) F(i . h) G1_k(i) G1_k(o) / (4 cos_i cos_o),       f_g = (1 - w) f_1 + w f_2.
+
+Normals are sampled from those visible to the viewer (Heitz 2018, JCGT 7(4)), of lobe 2 with probability w.
+The mirrored directions have the density (1 - w) p_1 + w p_2 with p_k = D_k(h) G1_k(i) / (4 cos_i), and
+f_g cos_o is the sum of its parts times F G1_k(o).
+
+Places on surfaces: what a hit needs of the tables of `Optics`, whatever the wavelength.
+
+Light at any number of wavelengths or in any number of bands is scattered by the same lobes at such a place:
+only the reflectance and the transmittance of the body differ.
 """
 
 from __future__ import annotations
@@ -55,8 +70,58 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 from pepperscene.materials.gloss import TABLE_SCALE, TABLE_SIZE
-from pepperscene.render.surface.microfacets import GlossLobes
 from pepperscene.render.variant import mitsuba_modules
+
+
+@dataclass(frozen=True, eq=False)
+class GlossLobes:
+    """The gloss of a cuticle at a hit.
+
+    Attributes:
+        ior: refractive index.
+        square, wide_square: squared roughness of the two lobes.
+        wide_share: w, the fraction of the area with the second one.
+    """
+
+    ior: Any
+    square: Any
+    wide_square: Any
+    wide_share: Any
+
+    def sample(self, wi: Any, sample1: Any, sample2: Any) -> Any:
+        """Sample a mirrored direction of `wi`, which is above the surface; it can end below."""
+        mi, dr = mitsuba_modules()
+        alpha = dr.sqrt(dr.select(sample1 < self.wide_share, self.wide_square, self.square))
+        lobe = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
+        normal, _ = lobe.sample(wi, sample2)
+        return 2.0 * dr.dot(wi, normal) * mi.Vector3f(normal) - wi
+
+    def eval_pdf(self, wi: Any, wo: Any) -> tuple[Any, Any]:
+        """Gloss times cosine, and the density of mirrored directions, for directions above the surface."""
+        mi, dr = mitsuba_modules()
+        half = dr.normalize(wi + wo)
+        across = dr.square(half.x) + dr.square(half.y)
+        along = dr.square(half.z)
+
+        def parts(square: Any) -> tuple[Any, Any]:
+            """Density p_k, and p_k G1_k(o)."""
+            stretched = across / square + along
+            normals = dr.inv_pi / (square * dr.square(stretched))
+            density = 0.5 * normals / _unmasked(wi.z, square)  # G1(i) = 2 cos_i over this
+            return density, density * (2.0 * wo.z / _unmasked(wo.z, square))
+
+        (narrow, narrow_out), (wide, wide_out) = parts(self.square), parts(self.wide_square)
+        fresnel = mi.fresnel(dr.maximum(dr.dot(wi, half), 0.0), self.ior)[0]
+        value = fresnel * dr.lerp(narrow_out, wide_out, self.wide_share)
+        return value, dr.lerp(narrow, wide, self.wide_share)
+
+
+def _unmasked(cosine: Any, square: Any) -> Any:
+    """Cosine plus the root in Smith's masking, G1 = 2 cosine / (cosine + root)."""
+    _, dr = mitsuba_modules()
+    z = dr.square(cosine)
+    return cosine + dr.sqrt(dr.fma(square, dr.maximum(1.0 - z, 0.0), z))
+
 
 _MIN_SQUARE: Final = 1e-20
 """Chosen: below the square of any length here that single precision distinguishes from 0."""
@@ -261,3 +326,49 @@ def select_point(mask: Any, first: SurfacePoint, second: SurfacePoint) -> Surfac
     return replace(
         first, **{name: dr.select(mask, getattr(first, name), getattr(second, name)) for name in names}
     )
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPlace:
+    """Where the spectra of a body are found, and what changes them.
+
+    Attributes:
+        row, next_row, fraction: row of the pigment state below, number of rows to the one above (0 or 1), and
+            the fraction of the way there.
+        residue: reflectance of residue.
+        cover, cover_behind: fractions of the front and of the back that residue covers.
+        in_front: whether the viewer is on the front.
+        leaving: fraction of the transmitted light that the other side lets out.
+        lost: fraction of the body's light that a relief sends below the horizon; None without relief.
+        is_scanned: whether a scan gives the colour; None if no organ has any.
+        colour: linear sRGB of the scan.
+    """
+
+    row: Any
+    next_row: Any
+    fraction: Any
+    residue: Any
+    cover: Any
+    cover_behind: Any
+    in_front: Any
+    leaving: Any
+    lost: Any | None = None
+    is_scanned: Any | None = None
+    colour: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePlace:
+    """A place on a surface, seen from the viewer's side; see `SurfacePoint`, which adds the spectra.
+
+    Attributes:
+        body: of the sheet.
+        frame, wi, gloss, near, far: as of `SurfacePoint`.
+    """
+
+    body: BodyPlace
+    frame: Any
+    wi: Any
+    gloss: GlossLobes
+    near: SideOpenness
+    far: SideOpenness

@@ -23,11 +23,19 @@ from pepperscene.camera import Flash
 from pepperscene.render.arrays import BATCH, channel_array, device_uint
 from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
-from pepperscene.render.surface.body import SurfacePlace
-from pepperscene.render.surface.scattering import by_lobe
-from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums
-from pepperscene.render.transport.band_paths import UNIT, Front, Paths, PathTracer
-from pepperscene.render.transport.band_records import FirstHit, arrays, finite, follow, sky_light
+from pepperscene.render.surface.scattering import SurfacePlace, by_lobe
+from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums, sum_samples
+from pepperscene.render.transport.band_paths import (
+    UNIT,
+    FirstHit,
+    Front,
+    Paths,
+    PathTracer,
+    arrays,
+    finite,
+    follow,
+    sky_light,
+)
 from pepperscene.render.transport.bands import (
     BROAD,
     BandTables,
@@ -37,7 +45,6 @@ from pepperscene.render.transport.bands import (
 )
 from pepperscene.render.transport.lights import FrameTables, frame_tables
 from pepperscene.render.transport.samples import Samples
-from pepperscene.render.transport.wavefront import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 _LANES: Final = 1 << 18

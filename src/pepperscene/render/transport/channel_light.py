@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.render.arrays import device_uint
-from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums
+from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums, sum_samples
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.path_lengths import LONG_ROULETTE, ROULETTE
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
-from pepperscene.render.transport.wavefront import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 

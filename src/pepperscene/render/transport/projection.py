@@ -16,9 +16,9 @@ from pepperscene.camera import Projector
 from pepperscene.render.arrays import device_array, device_float
 from pepperscene.render.kernel.camera import CameraRays, RayPose, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene
+from pepperscene.render.transport.accumulate import sum_samples
 from pepperscene.render.transport.lights import FrameTables, frame_tables
 from pepperscene.render.transport.samples import Samples
-from pepperscene.render.transport.wavefront import sum_samples
 from pepperscene.render.variant import mitsuba_modules
 
 Images = NDArray[np.float32]

@@ -28,8 +28,7 @@ from pepperscene.render.transport.denoise import (
     filtered_indirect,
     setting_of_part,
 )
-from pepperscene.render.transport.exposure import in_rows, sum_of_parts
-from pepperscene.render.transport.trace import FrameLight, Sampling, trace_rows
+from pepperscene.render.transport.trace import FrameLight, Sampling, in_rows, sum_of_parts, trace_rows
 from pepperscene.render.variant import mitsuba_modules
 
 Image = NDArray[np.float32]

@@ -20,8 +20,7 @@ from pepperscene.render.viewpoints.fruit_parts import (
     sample_fruit,
     scene_fruit,
 )
-from pepperscene.render.viewpoints.image_map import image_map
-from pepperscene.render.viewpoints.shadow_rays import PointState, PointTracer, TracedPoints
+from pepperscene.render.viewpoints.shadow_rays import PointState, PointTracer, TracedPoints, image_map
 from pepperscene.scene import Scene
 from pepperscene.truth.fruit_visibility import (
     ROW_ARRAYS,
