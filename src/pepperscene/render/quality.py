@@ -32,8 +32,8 @@ class Quality:
         target: standard error of a pixel's mean over the sensor noise at that signal, at which sampling
             stops; None for `samples` in every pixel.
         denoise: whether indirect light is denoised.
-        integrator: "flash" for `pepperscene.render.transport.trace`, which traces daylight too; "path" for Mitsuba's own path tracer
-            with `samples` in every pixel, the reference to compare with.
+        integrator: "flash" for `pepperscene.render.transport.trace`, which traces daylight too; "path" for
+            Mitsuba's own path tracer with `samples` in every pixel, the reference to compare with.
         sampler: for "path"; "flash" has its own.
         soft_by_daylight: `soft` of frames by daylight alone, if it is greater, but not above `most`: there,
             with few samples, the denoiser takes the relief of leaves for noise.
