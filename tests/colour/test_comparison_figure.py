@@ -56,21 +56,27 @@ def test_names_both_sets_and_has_all_four_figures(svg):
     assert figures_of_paper(svg) == ["Fig. 10", "Fig. 11", "Fig. 12", "Fig. 13"]
 
 
+@pytest.fixture(scope="module")
+def small():
+    """A comparison that is drawn quickly."""
+    return compare(
+        image_set(uniform((9, 90, 9)), name="leaves"), image_set(uniform((90, 90, 9)), name="yellow")
+    )
+
+
 @pytest.mark.parametrize(
-    ("name", "shown"),
+    ("names", "shown"),
     [
-        (r"$\frac{$", r"$\frac{$"),
-        ("$x$ and $y$", "$x$ and $y$"),
-        ("_old", "_old"),
-        ("<b>&amp;", "<b>&amp;"),
-        ("line\nfeed\x01", r"line\nfeed\x01"),
-        ("not UTF-8 \udcff", r"not UTF-8 \udcff"),
+        ((r"$\frac{$", "_old"), (r"$\frac{$", "_old")),
+        (("$x$ and $y$", "<b>&amp;"), ("$x$ and $y$", "<b>&amp;")),
+        (("line\nfeed\x01", "not UTF-8 \udcff"), (r"line\nfeed\x01", r"not UTF-8 \udcff")),
     ],
 )
-def test_names_of_folders_are_shown_as_they_are(name, shown):
-    texts = words(comparison_figure(compare(image_set(uniform((9, 90, 9)), name=name), SECOND)))
-    assert f"{shown} and theirs" in texts
-    assert f"{shown}: 1 of 1 images" in texts
+def test_names_of_folders_are_shown_as_they_are(names, shown):
+    texts = words(comparison_figure(compare(*(image_set(uniform((9, 90, 9)), name=name) for name in names))))
+    assert " and ".join(shown) in texts
+    for name in shown:
+        assert f"{name}: 1 of 1 images" in texts
 
 
 def test_each_kind_has_both_hue_spectra(comparison, axes):
@@ -97,17 +103,17 @@ def test_each_class_has_both_mean_masks(comparison, axes):
             np.testing.assert_allclose(image, mask / mask.max())
 
 
-def test_svg_is_self_contained_and_reproducible(comparison, svg):
+def test_svg_is_self_contained(svg):
     text = svg.decode()
     assert re.findall(r'(?:href|src)="(?!data:image/png|#)', text) == []
     assert not any("nan" in word.lower() for word in words(svg))
-    assert comparison_figure(comparison) == svg
 
 
-def test_png_is_reproducible(comparison):
-    png = comparison_figure(comparison, "png")
-    assert png.startswith(b"\x89PNG")
-    assert comparison_figure(comparison, "png") == png
+@pytest.mark.parametrize(("file_format", "start"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
+def test_same_comparison_gives_the_same_bytes(small, file_format, start):
+    drawn = comparison_figure(small, file_format)
+    assert drawn.startswith(start)
+    assert comparison_figure(small, file_format) == drawn
 
 
 def test_patches_have_hues_only():
@@ -121,11 +127,6 @@ def test_draws_sets_without_labels_or_photographs():
     dark = image_set((None, uniform((0, 0, 0))[1]), name="dark")
     for first, second in ((bare, bare), (dark, dark), (bare, dark), (dark, FIRST)):
         comparison_figure(compare(first, second))
-
-
-def test_names_with_dollar_signs_are_no_formulas():
-    name = r"a $\frac{$ b"
-    assert any(name in text for text in words(comparison_figure(compare(noisy_set(1, 2, name=name), SECOND))))
 
 
 def test_saturation_of_whole_images_and_leaves_is_drawn(comparison, axes):

@@ -21,7 +21,7 @@ from pepperscene.colour.comparison.appearance import (
     mean_power_spectrum,
 )
 from pepperscene.colour.comparison.bootstrap import Estimate
-from pepperscene.colour.comparison.measure import CELLS, SetMeasures
+from pepperscene.colour.comparison.measure import CELLS
 from pepperscene.colour.comparison.result import Comparison, KindComparison
 from pepperscene.colour.comparison.tables import describe_scale, format_estimate, missing_parts
 from pepperscene.colour.statistics import bin_angles
@@ -98,12 +98,12 @@ def comparison_figure(comparison: Comparison, file_format: str = "svg") -> bytes
 def _heading_notes(comparison: Comparison) -> list[str]:
     """Lines on the size of the images, the scale of the comparison, and what is missing."""
     notes = []
-    for side in (comparison.first, comparison.second):
+    for side in comparison.sides:
         if side.has_images:
             size, centre, texture = describe_scale(side)
             name = shorten_name(side.name, 45)
             notes.append(f"{name}: {size} pixels; hues and CIELAB: {centre}; saturation, texture: {texture}")
-    for sentence in missing_parts(comparison.first, comparison.second):
+    for sentence in missing_parts(*comparison.sides):
         notes += textwrap.wrap(f"{sentence}.", _NOTE_LETTERS)
     return notes
 
@@ -112,7 +112,7 @@ def _draw_heading(part: SubFigure, comparison: Comparison, notes: list[str]) -> 
     from matplotlib.lines import Line2D
 
     height = float(part.bbox.height / part.figure.dpi)
-    sides = (comparison.first, comparison.second)
+    sides = comparison.sides
     title = " and ".join(shorten_name(side.name, 45) for side in sides)
     part.text(0.04, 1.0 - 0.2 / height, title, fontsize=15, fontweight="bold", va="center")
     handles = []
@@ -135,7 +135,7 @@ def _draw_hues(part: SubFigure, comparison: Comparison, kinds: list[KindComparis
     grid = part.add_gridspec(count_rows(kinds), COLUMNS, **edges, hspace=0.95, wspace=0.28)
     for position, kind in enumerate(kinds):
         axes = part.add_subplot(grid[divmod(position, COLUMNS)])
-        for side, colour, dashes in zip((comparison.first, comparison.second), COLOURS, DASHES, strict=True):
+        for side, colour, dashes in zip(comparison.sides, COLOURS, DASHES, strict=True):
             if (sums := side.totals(kind.kind)) is not None:
                 spectrum = similarity.hue_spectra(sums[:1])[0]
                 axes.plot(bin_angles(HUE_BINS), spectrum, color=colour, linestyle=dashes, linewidth=1.3)
@@ -191,7 +191,7 @@ def draw_masks(part: SubFigure, comparison: Comparison, kinds: list[KindComparis
     height = add_title(part, "Fig. 11: mean masks in whole images, over their maxima, drawn in one shape")
     edges = {"left": 0.04, "right": 0.97, "top": 1 - 0.6 / height, "bottom": 0.75 / height}
     grid = part.add_gridspec(count_rows(kinds), 2 * COLUMNS, **edges, hspace=0.65, wspace=0.12)
-    sides = (comparison.first, comparison.second)
+    sides = comparison.sides
     all_masks = [side.statistics.mean_masks() for side in sides]
     for position, kind in enumerate(kinds):
         for index, masks in enumerate(all_masks):
@@ -223,7 +223,7 @@ def draw_masks(part: SubFigure, comparison: Comparison, kinds: list[KindComparis
 
 def draw_light(part: SubFigure, comparison: Comparison) -> None:
     """Fig. 13: the mean images, and their radial falloff."""
-    sides = (comparison.first, comparison.second)
+    sides = comparison.sides
     means = [mean for side in sides if (mean := side.statistics.mean_intensity()) is not None]
     # As in the paper, both are brightened by one factor, as far as nothing saturates.
     brightest = max(float(np.percentile(mean, 99.5)) for mean in means)
@@ -255,22 +255,18 @@ def draw_appearance(part: SubFigure, comparison: Comparison) -> None:
     """Saturation of whole images and of a class that both sets show, and the radial power spectrum."""
     add_title(part, "Saturation and power spectrum")
     grid = part.add_gridspec(1, 3, left=0.06, right=0.97, top=0.8, bottom=0.25, wspace=0.28)
-    shown = [kind for kind in _BY_INTEREST if all(kind in side.appearance for side in _sides(comparison))]
+    shown = [kind for kind in _BY_INTEREST if all(kind in side.appearance for side in comparison.sides)]
     for column, kind in enumerate(shown[:2]):
         _draw_saturation(part.add_subplot(grid[column]), comparison, kind)
-    spectra = [mean_power_spectrum(side.appearance[WHOLE]) for side in _sides(comparison)]
+    spectra = [mean_power_spectrum(side.appearance[WHOLE]) for side in comparison.sides]
     if all(spectrum is not None for spectrum in spectra):
         _draw_spectra(part.add_subplot(grid[len(shown[:2])]), comparison, spectra)
-
-
-def _sides(comparison: Comparison) -> tuple[SetMeasures, SetMeasures]:
-    return comparison.first, comparison.second
 
 
 def _draw_saturation(axes: Axes, comparison: Comparison, kind: str) -> None:
     """Histograms of saturation of a kind."""
     saturations = (np.arange(SATURATION_BINS) + 0.5) * SATURATION_WIDTH
-    for side, colour, dashes in zip(_sides(comparison), COLOURS, DASHES, strict=True):
+    for side, colour, dashes in zip(comparison.sides, COLOURS, DASHES, strict=True):
         counts = side.appearance[kind].totals()[0, SATURATIONS]
         axes.plot(saturations, 100.0 * counts / counts.sum(), color=colour, linestyle=dashes)
     axes.set(title=kind, ylabel="% of pixels", xlim=(0.0, 1.5), xlabel="saturation C*/(L*+16)")

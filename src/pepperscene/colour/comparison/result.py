@@ -104,6 +104,11 @@ class Comparison:
     appearance: Mapping[str, AppearanceComparison]
 
     @property
+    def sides(self) -> tuple[SetMeasures, SetMeasures]:
+        """The first and the second set."""
+        return self.first, self.second
+
+    @property
     def classes(self) -> list[KindComparison]:
         """The kinds that are classes: not the whole centre, and no stages."""
         return [kind for kind in self.kinds.values() if kind.kind != WHOLE and "." not in kind.kind]

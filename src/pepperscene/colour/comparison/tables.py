@@ -73,13 +73,13 @@ def format_estimate(estimate: Estimate, digits: int = 2, factor: float = 1.0) ->
 
 def _set_table(comparison: Comparison) -> TextTable:
     """What is compared: images, the central square, and the scale of textures."""
-    sides = (comparison.first, comparison.second)
+    sides = comparison.sides
     rows = [
         (letter, side.name, f"{side.units:,} of {side.available:,}", *describe_scale(side))
         for letter, side in zip("AB", sides, strict=True)
     ]
     headers = ("set", "name", "measured", "size, pixels", "hues and CIELAB", "saturation and texture")
-    notes = tuple(f"{sentence}." for sentence in missing_parts(comparison.first, comparison.second))
+    notes = tuple(f"{sentence}." for sentence in missing_parts(*comparison.sides))
     return TextTable("Sets", headers, tuple(rows), notes)
 
 
@@ -106,7 +106,7 @@ def _hue_table(comparison: Comparison) -> TextTable:
 
 def _both_labelled(comparison: Comparison) -> bool:
     """Whether both sets have classes; otherwise the first table says so."""
-    sides = (comparison.first, comparison.second)
+    sides = comparison.sides
     return all(side.statistics.labelled_count or not side.has_images for side in sides)
 
 
