@@ -17,7 +17,7 @@ from data_sets import contents
 from stand_in import PYTHONPATH, GatedRenderer, OutOfMemoryRenderer, rendered, wait_for
 
 from pepperscene.building.execution import dask_executor, dask_worker
-from pepperscene.building.execution.credentials import trusts_network
+from pepperscene.building.execution.dask_executor import trusts_network
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import InputError, OutputError, WorkerError
 from pepperscene.recipe.plan import frame_seed
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals")
 
 
 @contextmanager
-def local_cluster(workers, preload=(), memory_limit="auto", **variables):
+def local_cluster(workers, preload=(), **variables):
     """Worker processes on this machine, which first run the Python texts in `preload`.
 
     Further arguments are environment variables. Their stand-in renderer takes some time.
@@ -44,7 +44,6 @@ def local_cluster(workers, preload=(), memory_limit="auto", **variables):
             dashboard_address=":0",
             silence_logs=50,
             preload=list(preload),
-            memory_limit=memory_limit,
         ) as cluster:
             yield cluster
 
@@ -265,8 +264,8 @@ def test_renderer_that_workers_cannot_import_is_reported(make, local_renderer):
 
 @pytest.mark.slow
 def test_workers_with_too_little_memory_are_not_used(make, tmp_path):
-    with local_cluster(1, memory_limit="400 MB") as cluster:
-        with pytest.raises(WorkerError, match=r"can be used: .* needs about .* allowed for this worker by"):
+    with local_cluster(1, PEPPERSCENE_MEMORY="400 MB") as cluster:
+        with pytest.raises(WorkerError, match=r"can be used: .* needs about .* 0\.4 GB are allowed by"):
             make(scheduler=cluster.scheduler_address, renderer=None, outputs=("colour",))
         assert len(cluster.scheduler.workers) == 1
     assert not (tmp_path / "set").exists()

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 import tomllib
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from fake_slurm import REQUIRED_KEYS
 from stand_in import process_fields, wait_for
 
 from pepperscene.building.execution import slurm
-from pepperscene.building.execution.slurm_jobs import SlurmJobs, read_slurm_file
+from pepperscene.building.execution.slurm import SlurmJobs, read_slurm_file
 from pepperscene.errors import InputError, SetupError, WorkerError
 
 dask = pytest.importorskip("dask", reason="needs the extra `cluster`")
@@ -41,7 +42,10 @@ log_directory = "logs"
 
 @pytest.fixture
 def commands(tmp_path, monkeypatch):
-    """The folder of the jobs of a fake Slurm."""
+    """The folder of the jobs of a fake Slurm; the home folder is empty."""
+    home = tmp_path / "home"
+    home.mkdir(mode=0o700)
+    monkeypatch.setenv("HOME", str(home))
     return fake_slurm.install(tmp_path, monkeypatch)
 
 
@@ -64,32 +68,26 @@ def submitted_script(build_small, commands, path):
 
 def test_script_has_all_settings(build_small, commands, write_jobs, tmp_path):
     script = submitted_script(build_small, commands, write_jobs(ALL_KEYS))
-    for option in (
-        "-J pepperscene",
-        "-p closed",
-        "-A peppers",
-        "-n 1",
-        "--cpus-per-task=4",
-        "--mem=6G",
-        "-t 12:00:00",
-        "--qos=long",
-        "--exclude=node7",
-        f"-o {tmp_path}/logs/pepperscene-%J.out",
-    ):
+    options = ("-J pepperscene", "-p closed", "-A peppers", "-n 1", "--cpus-per-task=4", "--mem=6G")
+    options += ("-t 12:00:00", "--qos=long", "--exclude=node7", f"-o {tmp_path}/logs/pepperscene-%J.out")
+    for option in options:
         assert f"#SBATCH {option}\n" in script
     lines = script.splitlines()
     command = lines[-1]
     assert lines.index("module load python") < lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral")
     assert lines.index("export PEPPERSCENE_VARIANT=llvm_ad_spectral") < lines.index(command)
     assert command.startswith("/opt/python/bin/python -m distributed.cli.dask_worker tls://127.0.0.1:")
-    for argument in ("--nworkers 2 --nanny", "--nthreads 2", "--interface lo"):
+    for argument in ("--nworkers 2 --nanny", "--nthreads 2", "--interface lo", "--protocol tls://"):
         assert argument in command
     assert f"$(mktemp -d -- {tmp_path}/scratch/pepperscene-XXXXXXXXXX)" in script
+    assert '--local-directory "$pepperscene_folder"' in command
     # Each of the two workers has half of the memory.
     limit = re.search(r"--memory-limit ([\d.]+)GiB", command)
     assert float(limit[1]) == pytest.approx(3e9 / 2**30, abs=0.01)
+    # Nothing is written, and the key is gone.
     assert not (tmp_path / "set").exists()
     assert [path.name for path in commands.iterdir()] == ["tested.sh"]
+    assert not list((tmp_path / "home").iterdir())
 
 
 def test_script_without_options_leaves_defaults_to_the_site(build_small, commands, write_jobs):
@@ -131,9 +129,11 @@ def test_settings_of_the_site_are_kept_but_do_not_open_the_scheduler(build_small
         ('walltime = "noon"', "walltime = 'noon': must be a time in Slurm's format"),
         ('partition = "two words"', "partition = 'two words': must be a word without blanks"),
         ('partition = "open;touch$IFS$HOME"', "must be a word without blanks, quotes and other special"),
-        ("account = 'a\"b'", "must be a word without blanks, quotes and other special characters"),
-        ('log_directory = "it\'s"', "must be a path without quotes and backslashes"),
-        ('local_directory = "~\\u0000"', "must be a line of text"),
+        *(
+            (f"{key} = {value!r}", "must be a word without blanks, quotes and other special characters")
+            for key in ("account", "python", "local_directory", "log_directory", "credentials_directory")
+            for value in ("/a/b;touch injected", "/a/$HOME", "/a/`x`", "/with blank", "/a\\\\b", '/a"b')
+        ),
         ('prologue = ["a\\nb"]', "prologue.0 = 'a\\nb': must be a line of text"),
         ("workers = 5", "workers = 5 must not be more than cores = 1"),
         *((f"-{key}", f"{key}: is required but missing") for key in ("jobs", "cores", "memory", "walltime")),
@@ -162,6 +162,18 @@ def test_every_key_is_documented():
     assert SlurmJobs.model_validate(tomllib.loads(example)).workers == 32
 
 
+def test_folder_for_the_key_that_others_may_write_to_is_refused(build_small, commands, write_jobs, tmp_path):
+    exposed = tmp_path / "exposed"
+    exposed.mkdir()
+    exposed.chmod(0o777)
+    for folder, problem in (("exposed", "can be written to by other users"), ("missing", "No such file")):
+        path = write_jobs(REQUIRED_KEYS + f'credentials_directory = "{folder}"\n')
+        with pytest.raises(InputError, match=f"credentials_directory: must be a folder .*{problem}"):
+            build_small(slurm=path)
+    assert not list(exposed.iterdir())
+    assert not (tmp_path / "set").exists()
+
+
 def test_machine_without_slurm(build_small, write_jobs, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(SetupError, match="cannot submit jobs to Slurm: it has no command sbatch"):
@@ -177,9 +189,20 @@ def test_missing_network_interface(build_small, commands, write_jobs, tmp_path):
 
 
 def test_jobs_make_the_same_files(build_small, commands, write_jobs, tmp_path, monkeypatch):
-    notices = []
+    notices, modes = [], set()
     monkeypatch.setenv("STAND_IN_S", "0.1")
-    result = build_small(slurm=write_jobs(REQUIRED_KEYS), on_notice=notices.append)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def on_frame(_):
+        """The key is readable by this user only, and its content is in no script."""
+        (folder,) = (tmp_path / "home").iterdir()
+        modes.update(path.stat().st_mode & 0o777 for path in (folder, *folder.iterdir()))
+        assert "PRIVATE KEY" not in (commands / "1" / "job.sh").read_text()
+
+    path = write_jobs(REQUIRED_KEYS)
+    result = build_small(slurm=path, on_notice=notices.append, on_frame=on_frame)
+    assert modes == {0o700, 0o600}
+    assert not list((tmp_path / "home").iterdir())
     build_small("serial")
     assert result.made == tuple(range(24))
     assert notices == ["2 jobs were submitted to Slurm; frames are made once one of them runs"]

@@ -54,7 +54,7 @@ TARGETS = [device, pipe, unix_socket, folder, sparse, system_file]
 
 
 def readers():
-    from pepperscene.building.execution.slurm_jobs import read_slurm_file
+    from pepperscene.building.execution.slurm import read_slurm_file
     from pepperscene.camera.optics.calibration import read_calibration
     from pepperscene.camera.pose_files.formats import read_poses
     from pepperscene.camera.sensor.sensor_files import load_sensor

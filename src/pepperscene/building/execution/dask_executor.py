@@ -11,12 +11,12 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
 from pepperscene.atomic import write_error
-from pepperscene.building.execution.credentials import check_configured_credentials, trusts_network
-from pepperscene.building.execution.dask_worker import TOPIC, BuildRequest, FrameTask, UnfitWorkerError
+from pepperscene.building.execution.dask_worker import TOPIC, BuildRequest, UnfitWorkerError, UnitTask
 from pepperscene.building.execution.executor import Dispatcher, Executor
 from pepperscene.building.execution.job import BuildJob, FrameDone
 from pepperscene.errors import ArgumentError, PepperError, SetupError, WorkerError
@@ -56,7 +56,7 @@ class DaskExecutor(Executor):
         except (ValueError, TypeError):
             problem = f"must be an address such as tcp://10.0.0.5:8786, not {address!r}"
             raise ArgumentError("scheduler", problem) from None
-        check_configured_credentials(address)
+        _check_credentials(address)
         self._address = address
 
     @property
@@ -83,6 +83,44 @@ class DaskExecutor(Executor):
 
         with connect(self._address) as client:
             run_on_dask(client, self._address, job, dispatcher, check_present)
+
+
+def _check_credentials(address: str) -> None:
+    """Raise `ArgumentError` if an address needs credentials and Dask's configuration has no valid ones."""
+    import dask
+    from distributed.comm import parse_address
+    from distributed.security import Security
+
+    # A site may have a function that gets credentials from elsewhere.
+    is_encrypted = parse_address(address)[0] in ("tls", "wss")
+    if not is_encrypted or dask.config.get("distributed.client.security-loader"):
+        return
+    problem = (
+        "set distributed.comm.tls.ca-file, distributed.comm.tls.client.cert and "
+        "distributed.comm.tls.client.key in Dask's configuration to the paths of their files"
+    )
+    try:
+        security = Security()
+        tls = security.get_tls_config_for_role("client")
+        if tls["ca_file"] and tls["cert"]:
+            security.get_connection_args("client")
+            return
+    except (OSError, ValueError) as error:
+        problem = f"those in Dask's configuration (distributed.comm.tls) cannot be used: {error}"
+    raise ArgumentError("scheduler", f"{address} needs credentials: {problem}")
+
+
+def trusts_network(address: str) -> bool:
+    """Whether everybody who reaches an address from other machines can use it."""
+    from distributed.comm import get_address_host, parse_address
+    from distributed.utils import ensure_ip
+
+    if parse_address(address)[0] not in ("tcp", "ws"):
+        return False
+    try:
+        return not ip_address(ensure_ip(get_address_host(address))).is_loopback
+    except (OSError, ValueError):
+        return True
 
 
 def run_on_dask(
@@ -212,7 +250,7 @@ class _DaskBuild:
         number, self._count = self._count, self._count + 1
         future = self._client.submit(
             pickle.loads,
-            pickle.dumps(FrameTask(self._request, number, indices), protocol=5),
+            pickle.dumps(UnitTask(self._request, number, indices), protocol=5),
             key=f"pepperscene-{self._request.build}-{number}",
             workers=[address],
             allow_other_workers=False,

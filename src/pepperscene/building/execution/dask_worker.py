@@ -59,7 +59,7 @@ class BuildRequest:
 
 
 @dataclass(frozen=True)
-class FrameTask:
+class UnitTask:
     """A task, as bytes that run it when they are read.
 
     A worker that cannot read a message ends, and a scheduler that cannot read a task refuses it. So the task
@@ -133,6 +133,19 @@ def _check_fit(request: BuildRequest) -> None:
         raise UnfitWorkerError(f"may not write into {folder}")
 
 
+def _read_job(request: BuildRequest) -> BuildJob:
+    """The job of a request; raises `UnfitWorkerError` if its frames would differ or not fit into memory."""
+    job: BuildJob = pickle.loads(request.job)
+    # Some files, such as scans of fruit, are only read when they are used.
+    if job.recipe.recipe.identity() != request.identity:
+        raise UnfitWorkerError("reads other files by the names in the recipe, and would make other frames")
+    try:
+        job.check_memory()
+    except SetupError as error:
+        raise UnfitWorkerError(str(error)) from None
+    return job
+
+
 def _is_cancelled(worker: Worker, key: Any) -> bool:
     """Whether a task is cancelled, its build has ended, or the worker closes."""
     task = worker.state.tasks.get(key)
@@ -152,50 +165,30 @@ class _FrameThread:
         self._units = 0
 
     def make(
-        self,
-        request: BuildRequest,
-        indices: tuple[int, ...],
-        on_frame: OnFrame,
-        stop: Callable[[], bool],
+        self, request: BuildRequest, indices: tuple[int, ...], on_frame: OnFrame, stop: Callable[[], bool]
     ) -> None:
         """Make frames, after those of earlier calls."""
         self._thread.submit(self._make, request, indices, on_frame, stop).result()
 
     def _make(
-        self,
-        request: BuildRequest,
-        indices: tuple[int, ...],
-        on_frame: OnFrame,
-        stop: Callable[[], bool],
+        self, request: BuildRequest, indices: tuple[int, ...], on_frame: OnFrame, stop: Callable[[], bool]
     ) -> None:
         if stop():
             return
         self._units += 1
         try:
-            self._frame_maker(request).make(indices, on_frame, stop)
+            if self._held is None or self._held[0] != request.build:
+                # Release the old plants before making new ones.
+                self._release()
+                maker = FrameMaker(_read_job(request), f"{platform.node()}-{os.getpid()}", eager=True)
+                self._held = request.build, maker
+            self._held[1].make(indices, on_frame, stop)
         except BaseException:
             self._release()
             raise
         timer = threading.Timer(_IDLE_S, self._release_if_idle, (self._units,))
         timer.daemon = True
         timer.start()
-
-    def _frame_maker(self, request: BuildRequest) -> FrameMaker:
-        if self._held is None or self._held[0] != request.build:
-            # Release the old plants before making new ones.
-            self._release()
-            job: BuildJob = pickle.loads(request.job)
-            # Some files, such as scans of fruit, are only read when they are used.
-            if job.recipe.recipe.identity() != request.identity:
-                raise UnfitWorkerError(
-                    "reads other files by the names in the recipe, and would make other frames"
-                )
-            try:
-                job.check_memory()
-            except SetupError as error:
-                raise UnfitWorkerError(str(error)) from None
-            self._held = request.build, FrameMaker(job, f"{platform.node()}-{os.getpid()}", eager=True)
-        return self._held[1]
 
     def _release(self) -> None:
         maker, self._held = self._held, None
