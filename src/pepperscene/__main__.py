@@ -78,7 +78,7 @@ def _end_at_signals() -> None:
     """End the process at once when a signal arrives, with one line on standard error and 128 + its number.
 
     Nothing is unwound: an exception in an import or in a destructor would become a traceback or an abort.
-    While a command runs, `cli.interrupts` replaces these handlers.
+    While a command runs, `pepperscene.interrupts` replaces these handlers.
     """
 
     def end(number: int, _: object) -> None:

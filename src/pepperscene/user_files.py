@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from pepperscene.errors import InputError
+from pepperscene.interrupts import raise_if_interrupted
 
 FileKind = Literal[
     "text", "spectra", "calibration", "poses", "json", "annotations", "journal", "table", "log", "image",
@@ -74,6 +75,8 @@ def open_file(path: Path, kind: FileKind, *, within: Path | None = None) -> Buff
         MissingFileError: there is no such file.
         InputError: it cannot be read, is a device, pipe, socket or folder, is too long, or outside `within`.
     """
+    # All commands that read many files can be interrupted here.
+    raise_if_interrupted()
     try:
         return _open(path, kind, within)
     except (FileNotFoundError, NotADirectoryError) as error:

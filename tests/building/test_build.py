@@ -6,18 +6,14 @@ import hashlib
 import json
 import os
 import shutil
-import subprocess
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from data_sets import contents
 
-from pepperscene.atomic import temporary_path
 from pepperscene.building.execution.build import Throughput
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
@@ -140,24 +136,6 @@ def test_temporary_files_of_killed_builds_are_removed(make, tmp_path):
     # A recent one may belong to a build that runs at the same time.
     assert not old.exists()
     assert recent.exists()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="ends of processes are known on Linux")
-def test_key_folder_of_a_killed_build_is_removed_and_no_obstacle(make, tmp_path):
-    folder = make(frames="0:1").dataset.folder
-    code = (
-        "import sys; from pathlib import Path; from pepperscene.atomic import temporary_path; "
-        "path = temporary_path(Path(sys.argv[1]) / 'credentials'); path.mkdir(); print(path)"
-    )
-    ended = subprocess.run(
-        [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True
-    )
-    left, running = Path(ended.stdout.strip()), temporary_path(folder / "credentials")
-    running.mkdir()
-    (left / "key.pem").write_text("secret")
-    make(frames="1:2")
-    assert not left.exists()
-    assert running.exists()
 
 
 def test_interrupt_keeps_only_complete_frames(make, tmp_path):

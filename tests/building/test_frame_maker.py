@@ -34,13 +34,13 @@ def fill_disk(monkeypatch):
     def install(count):
         write, written = STORE.write_file, []
 
-        def write_or_fail(path, content):
+        def write_or_fail(path, *content):
             written.append(path)
             if len(written) > count:
                 with ATOMIC.atomic_write(path) as temporary:
                     temporary.write_bytes(b"half")
                     raise OSError(28, "No space left on device", str(path))
-            write(path, content)
+            write(path, *content)
 
         monkeypatch.setattr(STORE, "write_file", write_or_fail)
 
@@ -69,11 +69,11 @@ def test_next_frame_is_rendered_while_one_is_written(job, fake_renderer, monkeyp
                 go.set()
             return super().render(*args, **kwargs)
 
-    def write_later(path, content):
+    def write_later(path, *content):
         written.append(path.name)
         is_writing.set()
         assert go.wait(60)
-        write(path, content)
+        write(path, *content)
 
     def on_frame(done):
         in_caller = threading.current_thread() is threading.main_thread()

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.building.viewpoints import BoxWorkspace, ReachTest, random_poses
 from pepperscene.camera import Camera
 from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.views.workspace import BoxWorkspace, ReachTest, random_poses
 from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import FruitObserver
 

@@ -24,10 +24,9 @@ from pepperscene.recipe.resolve.frame_setups import FrameSetups
 from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.review.preview import picture
 from pepperscene.review.preview import places as places_module
-from pepperscene.review.preview.cost import ProbeFrame, build_seconds
 from pepperscene.review.preview.picture import draw_plan, row_geometry
 from pepperscene.review.preview.places import scene_places, write_selected_poses
-from pepperscene.review.preview.preview import preview_plan
+from pepperscene.review.preview.preview import ProbeFrame, build_seconds, preview_plan
 from pepperscene.review.preview.summary import count_scenes, horizontal_field_deg, summarise_plan
 from pepperscene.review.preview.text import format_bytes, plan_lines
 

@@ -14,7 +14,6 @@ from typing import Annotated, Final, NoReturn, ParamSpec, TypeVar
 
 import typer
 
-from pepperscene.cli.interrupts import Interrupted, interruptible
 from pepperscene.cli.options import expand_options
 from pepperscene.cli.progress import echo_progress
 from pepperscene.cli.streams import protect_streams
@@ -26,6 +25,7 @@ from pepperscene.errors import (
     PepperError,
     is_out_of_memory,
 )
+from pepperscene.interrupts import Interrupted, interruptible, raise_if_interrupted
 from pepperscene.options import Option
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
@@ -86,11 +86,11 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        with interruptible(command.__code__) as interruption:
+        with interruptible():
             try:
                 _check_current_folder()
                 result = command(*args, **kwargs)
-                interruption.raise_if_pending()
+                raise_if_interrupted()
                 return result
             except PepperError as error:
                 message = str(error)

@@ -19,10 +19,10 @@ from pepperscene.cli.application import (
     command,
     parse_outputs,
 )
-from pepperscene.cli.interrupts import raise_if_interrupted
 from pepperscene.cli.options import Only
 from pepperscene.cli.progress import echo_note
 from pepperscene.errors import ArgumentError
+from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.options import Option
 
 if TYPE_CHECKING:

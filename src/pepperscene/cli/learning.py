@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from pepperscene.cli.application import JsonOption, LabelOptions, command, print_ruled_table
-from pepperscene.cli.interrupts import raise_if_interrupted
 from pepperscene.cli.options import Only
 from pepperscene.cli.progress import echo_progress, image_progress, training_progress
 from pepperscene.errors import ArgumentError, InputError, SetupError
+from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.options import ExperimentOptions, TrainingOptions, is_built_in
 from pepperscene.options import Option

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import typer
 
 from pepperscene.durations import format_duration, format_rate
+from pepperscene.interrupts import raise_if_interrupted
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -39,6 +40,7 @@ def echo_note(text: str) -> None:
 
 def echo_measured(done: int, total: int) -> None:
     """Print the number of measured images from time to time."""
+    raise_if_interrupted()
     if total > _IMAGES_PER_LINE and (done % _IMAGES_PER_LINE == 0 or done == total):
         echo_progress(f"{done:,} of {total:,} images measured")
 
@@ -51,6 +53,7 @@ class Throttle:
 
     def is_due(self, done: int, total: int) -> bool:
         """Whether to print a line now."""
+        raise_if_interrupted()
         now = time.monotonic()
         due = total <= _EVERY_LINE or done == total or now - self._last >= _INTERVAL_S
         self._last = now if due else self._last
@@ -262,6 +265,7 @@ def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
         throttle = Throttle()
 
         def show(progress: TrainingProgress) -> None:
+            raise_if_interrupted()
             rate = f"{progress.images_per_s:.1f} images/s, {format_duration(progress.left_s)} left"
             text = f"step {progress.step:,} of {progress.steps:,}: loss {progress.loss:.3f}"
             if bar is not None:

@@ -16,7 +16,7 @@ from pepperscene.truth.fruit_visibility import SAMPLES
 
 if TYPE_CHECKING:
     from pepperscene.building.viewpoints.recipe_visibility import SceneVisibility, ViewpointOptions
-    from pepperscene.building.viewpoints.workspace import BoxWorkspace, Workspace
+    from pepperscene.recipe.views.workspace import BoxWorkspace, Workspace
 
 
 @dataclass(frozen=True)
@@ -104,14 +104,14 @@ def visibility(
 
 def parse_box(text: str) -> BoxWorkspace:
     """The workspace of a text "X0,X1,Y0,Y1,Z0,Z1" in millimetres."""
-    from pepperscene.building.viewpoints.workspace import BoxWorkspace
+    from pepperscene.recipe.views.workspace import BoxWorkspace
 
     x0, x1, y0, y1, z0, z1 = _metres(text, "box", 6)
     return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
 
 
 def _workspace(box: str | None, sphere: str | None) -> Workspace | None:
-    from pepperscene.building.viewpoints.workspace import SphereWorkspace
+    from pepperscene.recipe.views.workspace import SphereWorkspace
 
     if box is not None and sphere is not None:
         raise ArgumentError("sphere", "cannot be combined with box")

@@ -20,6 +20,7 @@ from pepperscene.building.execution.dask_worker import TOPIC, BuildRequest, Unfi
 from pepperscene.building.execution.executor import Dispatcher, Executor
 from pepperscene.building.execution.job import BuildJob, FrameDone
 from pepperscene.errors import ArgumentError, PepperError, SetupError, WorkerError
+from pepperscene.interrupts import raise_if_interrupted
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -172,6 +173,7 @@ class _DaskBuild:
         """Make all frames."""
         checked = -_CHECK_S
         while self._dispatcher:
+            raise_if_interrupted()
             if time.monotonic() - checked >= _CHECK_S:
                 upkeep(self._check_workers())
                 checked = time.monotonic()

@@ -23,6 +23,7 @@ from pepperscene.dataset.store.frame_json import FrameStatus
 from pepperscene.dataset.store.manifest import Row
 from pepperscene.errors import InputError
 from pepperscene.frame import Frame
+from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.outputs import check_band_outputs, check_outputs
 from pepperscene.recipe.plan import FrameSpec, frame_seed
 from pepperscene.recipe.recipe import Recipe, digest
@@ -157,14 +158,22 @@ class FrameMaker:
         job: of the build.
         worker: name of this process, for the manifest.
         eager: report a frame at once, in the writing thread; by default in this one, after the next frame.
+        renderer: of the job's recipe, if there is one already.
     """
 
-    def __init__(self, job: BuildJob, worker: str = "", *, eager: bool = False) -> None:
+    def __init__(
+        self,
+        job: BuildJob,
+        worker: str = "",
+        *,
+        eager: bool = False,
+        renderer: FrameRenderer | None = None,
+    ) -> None:
         from pepperscene.render import resolve_quality
 
         self._job, self._worker, self._eager = job, worker, eager
         self._quality = resolve_quality(job.quality, job.target_error)
-        self._renderer = FrameRenderer(job.recipe, job.renderer)
+        self._renderer = renderer or FrameRenderer(job.recipe, job.renderer)
         self._folder = OutputFolder(job.folder, job.info)
         self._prepared: set[str] = set()
         # Two pools, because a pool that ends starts nothing more: frames end first, then their images.
@@ -190,6 +199,7 @@ class FrameMaker:
             stop: called before each frame; True ends the work, after the frames that were started.
         """
         for index in indices:
+            raise_if_interrupted()
             if stop():
                 break
             start = time.perf_counter()

@@ -22,8 +22,11 @@ from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.plants import PROCESSES
 from pepperscene.building.subprocess_rpc import Connection, WorkerProcess, available_cores
 from pepperscene.errors import PepperError, WorkerError, is_out_of_memory
+from pepperscene.interrupts import raise_if_interrupted
 
 MAX_WORKERS: Final = 1024  # chosen: more than a machine has cores
+
+_CHECK_S: Final = 0.2  # chosen: interval of the checks for signals while workers render
 
 _PATIENCE_S: Final = 60.0
 """Chosen: how long the other workers may take to finish their frames when one has failed."""
@@ -100,7 +103,11 @@ class _Pool:
             self._send(slot, self._job)
             self._assign(slot)
         while self._dispatcher:
-            slot, message = self._messages.get()
+            raise_if_interrupted()
+            try:
+                slot, message = self._messages.get(timeout=_CHECK_S)
+            except queue.Empty:
+                continue
             if isinstance(message, FrameDone):
                 self._dispatcher.report(message)
             elif isinstance(message, PepperError):

@@ -20,6 +20,7 @@ import numpy as np
 from pepperscene.building.memory import PER_TRIANGLE, check_fits
 from pepperscene.building.subprocess_rpc import FunctionWorker, available_cores
 from pepperscene.errors import ArgumentError, InputError
+from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.recipe.plan import Stream, check_seed, random_generator
 
 if TYPE_CHECKING:
@@ -273,9 +274,9 @@ def make_plants(
             _make_in_two_processes(factory, set_index, pending, plants, second)
     # A single one has no neighbours and stays the plant that is grown alone.
     alone = count == 1
-    return [
-        plants[n] if n in plants else factory.plant(set_index, n, free_leaves=alone) for n in range(count)
-    ]
+    for number in _drain(deque(n for n in range(count) if n not in plants).popleft):
+        plants[number] = factory.plant(set_index, number, free_leaves=alone)
+    return [plants[number] for number in range(count)]
 
 
 def _make_in_two_processes(
@@ -317,4 +318,5 @@ def _drain(pop: Callable[[], int]) -> Iterator[int]:
     """Yield numbers from one end of a deque until it is empty."""
     with suppress(IndexError):
         while True:
+            raise_if_interrupted()
             yield pop()

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.building.viewpoints.workspace import ReachTest, Workspace, lattice_poses, random_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
+from pepperscene.recipe.views.workspace import ReachTest, Workspace, lattice_poses, random_poses
 from pepperscene.truth.fruit_visibility import SAMPLES, FruitVisibility, check_samples
 from pepperscene.truth.view_planning import ViewSequence, greedy_views
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.building.viewpoints.workspace import BoxWorkspace
 from pepperscene.classes import OrganClass
+from pepperscene.recipe.views.workspace import BoxWorkspace
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.building.viewpoints.workspace import BoxWorkspace, ReachTest
 from pepperscene.camera import arc_path, look_at
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
+from pepperscene.recipe.views.workspace import BoxWorkspace, ReachTest
 from pepperscene.truth.fruit_visibility import FruitVisibility, check_samples
 from pepperscene.truth.view_planning import view_coverage
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.render.arrays import device_array, device_uint
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples
@@ -263,6 +264,7 @@ def _sum_pass(
     integrand: Integrand,
 ) -> list[Images]:
     """The sums of `sum_samples` for its pixels from one number to another, in the device's memory."""
+    raise_if_interrupted()
     mi, dr = mitsuba_modules()
     start, end = limits
     salt, begin, per_pixel = (device_uint(n) for n in (seed & 0xFFFFFFFF, first, count))

@@ -12,6 +12,7 @@ from typing import Final
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
 from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError
+from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.tables import ExpectTable
 from pepperscene.review.check.findings import CheckResult, Finding, sort_findings
@@ -101,6 +102,7 @@ def _check_frames(
         pending: deque[Future[tuple[list[Finding], FrameTraits]]] = deque()
         try:
             for index in indices:
+                raise_if_interrupted()
                 pending.append(pool.submit(checker.check, index))
                 # Few are in memory at a time.
                 if len(pending) > 2 * workers:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from pepperscene.building.memory import format_size
 from pepperscene.durations import format_duration
-from pepperscene.review.preview.cost import CostEstimate
+from pepperscene.review.preview.preview import CostEstimate
 from pepperscene.review.preview.summary import CameraSummary, PlanSummary
 
 _INDENT: Final = 10  # columns before the text of a section
