@@ -91,6 +91,7 @@ ORANGE = "wavelength_nm,t\n550,0\n600,1\n700,1\n"
 RED_LED = "wavelength_nm,t\n640,0\n650,1\n660,0\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("sensor", "filter_text", "led", "changes"),
     [(NO_BLUE, ORANGE, None, {}), (NO_BLUE, None, RED_LED, NIGHT), (NARROW_BLUE, None, None, {})],
@@ -108,6 +109,7 @@ def test_colour_that_detects_nothing_is_dark(tmp_path, sensor, filter_text, led,
     assert electrons[..., 0].max() > 100
 
 
+@pytest.mark.long
 def test_colour_that_only_daylight_reaches(tmp_path):
     changes = {**UNCORRECTED, "camera.sensor": sensor_of(tmp_path, NO_BLUE)}
     _, electrons = image(tmp_path, {**changes, "camera.flash": flash_of(tmp_path, RED_LED)})
@@ -146,6 +148,7 @@ def test_cover_that_hardly_lets_visible_light_through_is_an_error(tmp_path, visi
         load_cover(cover_of(tmp_path, visible, infrared))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("illuminance_lx", "elevation_deg"), [(200_000.0, 11.0), (18_000.0, 1.0)])
 def test_darkest_cover_in_the_strongest_sun_gives_an_image(tmp_path, illuminance_lx, elevation_deg):
     (tmp_path / "ideal.csv").write_text("wavelength_nm,all\n400,1\n1100,1\n", encoding="utf-8")

@@ -109,7 +109,7 @@ def camera():
 @pytest.fixture(scope="module")
 def views(scene, space, camera):
     rng = np.random.default_rng(5)
-    return [random_view(SETTINGS, scene, camera, rng, anything, space) for _ in range(1000)]
+    return [random_view(SETTINGS, scene, camera, rng, anything, space) for _ in range(300)]
 
 
 @pytest.fixture(scope="module")

@@ -236,6 +236,7 @@ def test_coordinates_of_a_target_vary(load):
     assert all(-500 <= x <= 500 and (y, z) == (0, 1000) for x, y, z in targets)
 
 
+@pytest.mark.long
 def test_parts_that_differ_in_every_frame_do_not_pile_up_in_memory(load):
     recipe = load("plan.frames = 200\noverride.stem.parts = { low = 20, high = 170, per = 'frame' }")
     setups, first = FrameSetups(resolve_recipe(recipe)), recipe.plan.frame(0)
