@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pepperscene.building.execution.build import BuildProgress
-from pepperscene.cli.progress import BarReporter, JsonReporter, LineReporter, progress_reporter
+from pepperscene.cli.progress import BarReporter, JsonReporter, ProgressReporter, progress_reporter
 
 SMALL = (
     "--set", "plan.sets=1", "--set", "plan.rotations=2", "--set", "plan.frames=2", "--set",
@@ -41,12 +41,12 @@ def test_json_lines_report_each_frame_and_the_end(command, tmp_path):
 
 
 def test_plain_lines_have_rate_and_time_left(capsys):
-    LineReporter().frame(progress(2))
+    ProgressReporter().frame(progress(2))
     assert capsys.readouterr().err == "frame 000007 built (2 of 3, 12.5 frames/s, 1 min 15 s left)\n"
 
 
 def test_lines_are_throttled_for_many_frames(capsys):
-    reporter = LineReporter()
+    reporter = ProgressReporter()
     for done in range(1, 5001):
         reporter.frame(progress(done, 5000))
     lines = capsys.readouterr().err.splitlines()
@@ -55,7 +55,7 @@ def test_lines_are_throttled_for_many_frames(capsys):
 
 
 def test_notices_are_reported(capsys):
-    LineReporter().notice("a worker was lost")
+    ProgressReporter().notice("a worker was lost")
     assert "a worker was lost" in capsys.readouterr().err
     JsonReporter().notice("a worker was lost")
     assert json.loads(capsys.readouterr().out) == {"event": "notice", "text": "a worker was lost"}

@@ -65,7 +65,7 @@ def readers():
     from pepperscene.dataset.store.images import read_image
     from pepperscene.document import read_toml
     from pepperscene.geometry.fruit.scan_file import read_triangles
-    from pepperscene.learning.tasks.frames import READERS
+    from pepperscene.learning.tasks.frames import read_values
     from pepperscene.recipe.resolve.load import load_recipe
     from pepperscene.spectra import read_spectra
 
@@ -93,7 +93,7 @@ def readers():
         "image.exr": read_image,
         "image.json": read_image,
         "annotations.json": open_coco,
-        "values.npy": READERS[".npy"],
+        "values.npy": read_values,
     }
 
 

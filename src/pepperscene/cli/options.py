@@ -110,9 +110,13 @@ def _parameter(name: str, kind: Any, option: Option, default: Any) -> inspect.Pa
         kind = Path | None
     elif get_origin(kind) is tuple:
         kind, default = list[get_args(kind)[0]] | None, None  # type: ignore[misc]
-    limits = {"min": option.minimum, "max": option.maximum} if option.shows_range else {}
     info = typer.Option(
-        *names, metavar=option.metavar, help=option.help, show_default=option.shows_default, **limits
+        *names,
+        metavar=option.metavar,
+        help=option.help,
+        show_default=option.shows_default,
+        min=option.minimum if option.shows_range else None,
+        max=option.maximum if option.shows_range else None,
     )
     return inspect.Parameter(
         name,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -63,16 +62,27 @@ class Throttle:
 # --- building -----------------------------------------------------------------------------------------------
 
 
-class ProgressReporter(ABC):
-    """Reports the progress of a build."""
+class ProgressReporter:
+    """Reports the progress of a build by plain lines on standard error."""
 
-    @abstractmethod
+    def __init__(self) -> None:
+        self._throttle = Throttle()
+
     def frame(self, progress: BuildProgress) -> None:
-        """Report a finished frame."""
+        """Report a finished frame, unless the last line is recent."""
+        if not self._throttle.is_due(progress.done, progress.total):
+            return
+        parts = [f"{progress.done} of {progress.total}"]
+        if progress.frames_per_s is not None:
+            parts.append(format_rate(progress.frames_per_s))
+        if progress.left_s is not None and progress.done < progress.total:
+            parts.append(f"{format_duration(progress.left_s)} left")
+        state = "built" if progress.made else "kept"
+        echo_progress(f"frame {progress.index:06d} {state} ({', '.join(parts)})")
 
-    @abstractmethod
     def notice(self, text: str) -> None:
         """Report something that the user should know."""
+        echo_note(text)
 
     def selected(self, frames: int, planned: int) -> None:
         """Report how many frames of a plan its recipe selects, unless it selects all."""
@@ -84,6 +94,40 @@ class ProgressReporter(ABC):
         made, kept = len(result.made), len(result.kept)
         skipped = f", {kept} already there" if kept else ""
         typer.echo(f"{made} frame{'' if made == 1 else 's'} built{skipped}: {out}")
+
+
+@final
+class JsonReporter(ProgressReporter):
+    """One JSON object a line on standard output, with the key `event`: `frame`, `notice` or `end`."""
+
+    def frame(self, progress: BuildProgress) -> None:
+        """Print the event `frame`."""
+        picture = None if progress.picture is None else str(progress.picture)
+        names = ("index", "made", "done", "total", "frames_per_s", "left_s")
+        self._print("frame", **{name: getattr(progress, name) for name in names}, picture=picture)
+
+    def selected(self, frames: int, planned: int) -> None:
+        """Print nothing, because the events `frame` contain the number of frames."""
+
+    def notice(self, text: str) -> None:
+        """Print the event `notice`."""
+        self._print("notice", text=text)
+
+    def end(self, result: BuildResult, out: Path) -> None:
+        """Print the event `end`."""
+        self._print("end", made=len(result.made), kept=len(result.kept), folder=str(out))
+
+    @staticmethod
+    def _print(event: str, **values: Any) -> None:
+        typer.echo(json.dumps({"event": event, **values}, allow_nan=False))
+
+
+@final
+class BarReporter(ProgressReporter):
+    """A progress bar."""
+
+    def __init__(self, bar: ProgressBar) -> None:
+        self.frame, self.notice = bar, bar.notice  # type: ignore[method-assign]
 
 
 @contextmanager
@@ -99,84 +143,7 @@ def progress_reporter(as_json: bool) -> Iterator[ProgressReporter]:
         with ProgressBar(Console(stderr=True)) as bar:
             yield BarReporter(bar)
     else:
-        yield LineReporter()
-
-
-@final
-class JsonReporter(ProgressReporter):
-    """One JSON object a line on standard output, with the key `event`: `frame`, `notice` or `end`."""
-
-    def frame(self, progress: BuildProgress) -> None:
-        """Print the event `frame`."""
-        self._print(
-            event="frame",
-            index=progress.index,
-            made=progress.made,
-            done=progress.done,
-            total=progress.total,
-            frames_per_s=progress.frames_per_s,
-            left_s=progress.left_s,
-            picture=None if progress.picture is None else str(progress.picture),
-        )
-
-    def selected(self, frames: int, planned: int) -> None:
-        """Print nothing, because the events `frame` contain the number of frames."""
-
-    def notice(self, text: str) -> None:
-        """Print the event `notice`."""
-        self._print(event="notice", text=text)
-
-    def end(self, result: BuildResult, out: Path) -> None:
-        """Print the event `end`."""
-        self._print(event="end", made=len(result.made), kept=len(result.kept), folder=str(out))
-
-    @staticmethod
-    def _print(**values: Any) -> None:
-        typer.echo(json.dumps(values, allow_nan=False))
-
-
-@final
-class LineReporter(ProgressReporter):
-    """Plain lines on standard error."""
-
-    def __init__(self) -> None:
-        self._throttle = Throttle()
-
-    def frame(self, progress: BuildProgress) -> None:
-        """Print a line, unless the last one is recent."""
-        if not self._throttle.is_due(progress.done, progress.total):
-            return
-        parts = [f"{progress.done} of {progress.total}"]
-        if progress.frames_per_s is not None:
-            parts.append(format_rate(progress.frames_per_s))
-        if progress.left_s is not None and progress.done < progress.total:
-            parts.append(f"{format_duration(progress.left_s)} left")
-        state = "built" if progress.made else "kept"
-        echo_progress(f"frame {progress.index:06d} {state} ({', '.join(parts)})")
-
-    def notice(self, text: str) -> None:
-        """Print a line."""
-        echo_progress(f"note: {text}")
-
-
-@final
-class BarReporter(ProgressReporter):
-    """A progress bar.
-
-    Args:
-        bar: that is shown.
-    """
-
-    def __init__(self, bar: ProgressBar) -> None:
-        self._bar = bar
-
-    def frame(self, progress: BuildProgress) -> None:
-        """Advance the bar."""
-        self._bar(progress)
-
-    def notice(self, text: str) -> None:
-        """Print a line above the bar."""
-        self._bar.notice(text)
+        yield ProgressReporter()
 
 
 @contextmanager

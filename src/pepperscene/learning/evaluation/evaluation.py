@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES, Estimate
+from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.colour.comparison.tables import UNKNOWN, TextTable, format_estimate, format_tables
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.measures import (
@@ -19,6 +19,7 @@ from pepperscene.learning.evaluation.measures import (
     ClassMeasures,
     ObjectCounts,
     ObjectMeasures,
+    estimate_json,
     mean_intersection_over_union,
 )
 
@@ -107,15 +108,15 @@ class Evaluation:
             "format": FORMAT,
             "sets": [vars(item) for item in self.sets],
             "interval": {"level": LEVEL, "replicates": REPLICATES},
-            "mean_iou": _estimate_json(measures.mean_iou),
+            "mean_iou": estimate_json(measures.mean_iou),
             "classes": [
                 {
                     "name": name,
                     "members": sorted(members),
                     "share": float(share),
-                    "iou": _estimate_json(iou),
-                    "precision": _estimate_json(precision),
-                    "recall": _estimate_json(recall),
+                    "iou": estimate_json(iou),
+                    "precision": estimate_json(precision),
+                    "recall": estimate_json(recall),
                 }
                 for name, members, share, iou, precision, recall in rows
             ],
@@ -139,8 +140,8 @@ class Evaluation:
             "least_iou": LEAST_IOU,
             "smallest_px": SMALLEST_PX,
             **vars(fruit.counts),
-            "precision": _estimate_json(fruit.precision),
-            "recall": _estimate_json(fruit.recall),
+            "precision": estimate_json(fruit.precision),
+            "recall": estimate_json(fruit.recall),
         }
 
     def _image_json(self, image: EvaluatedImage) -> dict[str, Any]:
@@ -211,11 +212,6 @@ class Evaluation:
         heads = ("in masks", "predicted", "matched", "precision, % [95 %]", "recall, %")
         title = f"Fruit as objects of {SMALLEST_PX} pixels or more, matched at an IoU above {LEAST_IOU:g}"
         return (TextTable(title, heads, (row,)),)
-
-
-def _estimate_json(estimate: Estimate) -> dict[str, Any]:
-    numbers: dict[str, Any] = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-    return {**numbers, "why": estimate.why} if estimate.value is None else numbers
 
 
 def _format_share(share: float) -> str:

@@ -120,6 +120,12 @@ def measure_classes(matrices: Sequence[NDArray[np.int64]], weights: Sequence[Flo
     )
 
 
+def estimate_json(estimate: Estimate) -> dict[str, Any]:
+    """An estimate as JSON values; an unknown number is null."""
+    numbers: dict[str, Any] = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
+    return {**numbers, "why": estimate.why} if estimate.value is None else numbers
+
+
 def _estimate_columns(values: Floats, resampled: bool, why: str) -> tuple[Estimate, ...]:
     """Estimates of `(1 + replicates, k)` values."""
     return tuple(estimate_values(column, resampled, why) for column in values.T)

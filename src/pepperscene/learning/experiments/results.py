@@ -18,6 +18,7 @@ from pepperscene.colour.comparison.bootstrap import (
 )
 from pepperscene.learning.evaluation.measures import (
     ABSENT,
+    estimate_json,
     intersection_over_union,
     mean_intersection_over_union,
 )
@@ -166,12 +167,6 @@ def compare_results(first: ExperimentResult, second: ExperimentResult) -> Differ
     resampled = len(first.images) > 1
     estimates = [estimate_values(column, resampled, _ONE_IMAGE) for column in differences.T]
     return Difference(first.key, second.key, tuple(zip((*first.classes, MEAN), estimates, strict=True)))
-
-
-def estimate_json(estimate: Estimate) -> dict[str, Any]:
-    """An estimate as JSON values; an unknown number is null."""
-    numbers: dict[str, Any] = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-    return {**numbers, "why": estimate.why} if estimate.value is None else numbers
 
 
 def _matrices(folds: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], NDArray[np.int64]]:

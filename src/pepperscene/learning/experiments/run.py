@@ -94,7 +94,7 @@ def run_experiments(
         OutputError: the folder holds something else, or cannot be written to.
     """
     chosen, folder = (options or ExperimentOptions()).completed(), Path(out)
-    show = on_message or _ignore
+    show = on_message or (lambda _text, _is_frequent: None)
     check_can_write(folder, (JSON_NAME, PAGE_NAME, SETTINGS))
     sources = find_sources(recipes, real, chosen, other, labels)
     _check_model(sources, chosen)
@@ -224,7 +224,3 @@ def _training_json(job: NetworkJob, runner: JobRunner) -> dict[str, Any]:
         "validation_mean_iou": description["validation_mean_iou"],
         "log": runner.log(job),
     }
-
-
-def _ignore(_text: str, _is_frequent: bool) -> None:
-    """Callback of a caller that wants none."""

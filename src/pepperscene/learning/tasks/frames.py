@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -189,7 +189,7 @@ class PredictionFolder:
             InputError: the file is missing, cannot be read, has another size, or lacks a needed value.
         """
         path = self.path(index)
-        values = _check_map(path, READERS[path.suffix](path), needed.shape)
+        values = _check_map(path, read_values(path), needed.shape)
         if path.suffix == ".png":
             values = values * png_unit
         missing = needed & ~np.isfinite(values)
@@ -237,28 +237,17 @@ def _size_problem(found: tuple[int, ...], size: tuple[int, ...]) -> str:
     return f"must be {size[0]} rows x {size[1]} columns as the frame, not {' x '.join(map(str, found))}"
 
 
-def _read_npy(path: Path) -> NDArray[Any]:
+def read_values(path: Path) -> NDArray[Any]:
+    """The numbers of a file with a suffix of `MAP_SUFFIXES`."""
+    if path.suffix == ".exr":
+        return np.asarray(read_image(path))
+    if path.suffix == ".png":
+        values = read_mask(path).values
+        if values is None:
+            raise InputError(path, "must be a grey image of 16 bits")
+        return np.asarray(values)
     try:
         with open_file(path, "values") as file:
-            values = np.load(file, allow_pickle=False)
+            return np.asarray(np.load(file, allow_pickle=False))
     except (OSError, ValueError, EOFError, MemoryError) as error:
         raise InputError(path, f"cannot be read as an array ({' '.join(str(error).split())})") from None
-    return np.asarray(values)
-
-
-def _read_exr(path: Path) -> NDArray[Any]:
-    return np.asarray(read_image(path))
-
-
-def _read_png(path: Path) -> NDArray[Any]:
-    values = read_mask(path).values
-    if values is None:
-        raise InputError(path, "must be a grey image of 16 bits")
-    return np.asarray(values)
-
-
-READERS: Final[dict[str, Callable[[Path], NDArray[Any]]]] = {
-    ".npy": _read_npy,
-    ".exr": _read_exr,
-    ".png": _read_png,
-}

@@ -112,7 +112,7 @@ def plan_views(
 
     Arguments and errors are those of `evaluate_planners`.
     """
-    notify = on_stage or _ignore
+    notify = on_stage or (lambda _: None)
     resolved = resolve_recipe(recipe)
     used = PLANNERS if planners is None else planners
     names = (*used, ORACLE)
@@ -166,7 +166,3 @@ def _choose(name: str, planner: Planner, state: PlanningState) -> int:
             name, f"must return the number of a candidate, from 0 to {count - 1}, not {number!r}"
         )
     return int(number)
-
-
-def _ignore(_: str) -> None:
-    """Callback of a caller that wants none."""
