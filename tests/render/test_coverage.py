@@ -64,8 +64,8 @@ def test_what_is_ignored_has_no_channel_and_is_not_background():
     np.testing.assert_array_equal(fast[..., OrganClass.BACKGROUND][clear, 40], 1.0 - ignored[clear, 40])
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.05, 0.4, 0.7, 1.2, np.pi / 2])
-@pytest.mark.parametrize("width", [0.06, 0.2, 0.7, 3.0])
+@pytest.mark.parametrize("angle", [0.0, 0.4, 1.2])
+@pytest.mark.parametrize("width", [0.06, 0.7, 3.0])
 def test_wire_covers_its_width_of_each_row_it_crosses(width, angle):
     # It crosses rows at an angle: width / cos of each row, or of each column if it is closer to horizontal.
     fast, exhaustive = fast_and_exhaustive(wire(width, angle, offset_px=0.3))
@@ -127,7 +127,7 @@ def test_coverage_equals_the_exhaustive_one(plants):
     assert 0.03 < (exhaustive.max(axis=-1) < 1).mean() < 0.5
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (2, 3), (7, 5), (81, 62)])
+@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (7, 5)])
 def test_fractions_sum_to_one_at_any_image_size(plants, columns, rows):
     frame = Renderer(assemble_scene(plants)).render(camera(columns=columns, rows=rows), ["coverage"])
     fractions = frame["coverage"]
@@ -136,13 +136,6 @@ def test_fractions_sum_to_one_at_any_image_size(plants, columns, rows):
     assert (fractions.astype(float).sum(axis=-1) == 1.0).all()
     assert (fractions * POINTS == np.rint(fractions * POINTS)).all()
     assert fractions.min() >= 0
-
-
-def test_bytes_do_not_depend_on_earlier_frames(plants):
-    used = Renderer(assemble_scene(plants))
-    used.render(camera(2), ["coverage"])
-    again = Renderer(assemble_scene(plants)).render(camera(), ["coverage"])
-    assert used.render(camera(), ["coverage"])["coverage"].tobytes() == again["coverage"].tobytes()
 
 
 def test_everything_is_in_focus_and_an_empty_view_is_background(plants):

@@ -37,7 +37,7 @@ def draw_coordinates(kinds: str, pixels: np.ndarray, indices: np.ndarray, seed: 
     return np.concatenate([v[None] if v.ndim == 2 else np.moveaxis(v, -1, 0) for v in drawn])
 
 
-@pytest.mark.parametrize("block", [0, 1, 5])
+@pytest.mark.parametrize("block", [0, 5])
 @pytest.mark.parametrize("m", range(9))
 def test_each_block_of_samples_is_a_net(m, block):
     # One point in each box of area 2^-m, whatever its shape (Niederreiter 1992, definition 4.1: t = 0).

@@ -95,10 +95,9 @@ def python_with(monkeypatch, tmp_path, limit):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux only")
-@pytest.mark.parametrize("limit_kib", [2_000, 8_000, 12_000])
-def test_a_version_that_could_not_be_asked_for_is_not_reported_as_old(monkeypatch, tmp_path, limit_kib):
+def test_a_version_that_could_not_be_asked_for_is_not_reported_as_old(monkeypatch, tmp_path):
     compiler = library(tmp_path, "libLLVM.so")
-    python_with(monkeypatch, tmp_path, f"ulimit -v {limit_kib}")
+    python_with(monkeypatch, tmp_path, "ulimit -v 8000")
     with pytest.raises(LlvmExaminationError, match=r"could not run, because of: ."):
         llvm_version(compiler)
     # Found in the system's folders: none to use, and the cause is the message.
@@ -109,12 +108,6 @@ def test_a_version_that_could_not_be_asked_for_is_not_reported_as_old(monkeypatc
     monkeypatch.setenv(LLVM_VARIABLE, str(compiler))
     with pytest.raises(LlvmExaminationError, match="could not run"):
         find_llvm()
-
-
-def test_a_version_is_unknown_if_no_process_can_start(monkeypatch, tmp_path):
-    monkeypatch.setattr(sys, "executable", str(tmp_path / "missing"))
-    with pytest.raises(LlvmExaminationError, match="could not run, because of: No such file"):
-        llvm_version(library(tmp_path, "libLLVM.so"))
 
 
 @pytest.mark.parametrize(
@@ -208,20 +201,13 @@ def test_a_gpu_is_used_on_request_only(monkeypatch, backends, tmp_path):
     assert choose_variant("cuda_ad_spectral") == "cuda_ad_spectral"
     monkeypatch.setenv(VARIANT_VARIABLE, "cuda_ad_spectral")
     assert choose_variant() == "cuda_ad_spectral"
+    assert choose_variant("llvm_ad_spectral") == "llvm_ad_spectral"
     # Without LLVM the message says how to use the GPU; it is not chosen silently.
     (tmp_path / "libLLVM.so.23.1").unlink()
     monkeypatch.delenv(VARIANT_VARIABLE)
     monkeypatch.delenv(LLVM_VARIABLE)
     with pytest.raises(SetupError, match="PEPPERSCENE_VARIANT=cuda_ad_spectral"):
         choose_variant()
-
-
-def test_argument_precedes_environment(monkeypatch, backends, tmp_path):
-    library(tmp_path, "libLLVM.so.23.1")
-    backends.add("cuda")
-    monkeypatch.setenv(VARIANT_VARIABLE, "llvm_ad_spectral")
-    assert choose_variant() == "llvm_ad_spectral"
-    assert choose_variant("cuda_ad_spectral") == "cuda_ad_spectral"
 
 
 def test_chosen_library_is_passed_to_drjit(backends, tmp_path):
