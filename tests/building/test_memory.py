@@ -30,7 +30,7 @@ from pepperscene.building.scenes.scene_builder import SceneBuilder
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import ArgumentError, InputError, SetupError, WorkerError
 from pepperscene.geometry import mesh_plant
-from pepperscene.geometry.triangle_counts import most_triangles
+from pepperscene.geometry.triangle_counts import max_triangles
 from pepperscene.grammar import build_plant, draw_parameters
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.recipe.resolve.load import resolve_recipe
@@ -307,7 +307,7 @@ def test_items_are_counted_before_they_are_drawn():
 def test_the_bound_of_triangles_holds_and_is_close(cultivar, detail):
     parameters = draw_parameters(load_cultivar(cultivar), np.random.default_rng(5))
     triangles = len(mesh_plant(build_plant(parameters), detail).faces)
-    bound = most_triangles(parameters, detail)
+    bound = max_triangles(parameters, detail)
     assert triangles <= bound
     assert detail < 1.0 or bound <= 1.3 * triangles
 
@@ -330,4 +330,4 @@ def test_the_bound_holds_for_other_cultivars(changes):
     cultivar = resolve_recipe("demo", changes).cultivar
     parameters = draw_parameters(cultivar, np.random.default_rng(2))
     triangles = len(mesh_plant(build_plant(parameters)).faces)
-    assert triangles <= most_triangles(parameters) <= 1.4 * triangles
+    assert triangles <= max_triangles(parameters) <= 1.4 * triangles

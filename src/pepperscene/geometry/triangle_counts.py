@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from pepperscene.cultivar.organs import OrganForm
-from pepperscene.geometry.blade.grid import most_blade_triangles
+from pepperscene.geometry.blade.grid import max_blade_triangles
 from pepperscene.geometry.fruit.scan_clean import MAX_TRIANGLES
 from pepperscene.grammar.plant import KindParameters, PlantParameters
 
@@ -31,7 +31,7 @@ def check_detail(detail: float) -> None:
         raise ValueError(f"detail must be above zero and finite, not {detail}")
 
 
-def most_triangles(plant: PlantParameters, detail: float = 1.0) -> int:
+def max_triangles(plant: PlantParameters, detail: float = 1.0) -> int:
     """An upper bound of the triangles of `mesh_plant`, without scans at most 1.3 times their number.
 
     Args:
@@ -68,4 +68,4 @@ def _blade_triangles(blades: list[KindParameters], detail: float) -> int:
             teeth = max(teeth or 0.0, float(kind.values["teeth"][palmate].max()))
         if not palmate.all():
             lobes = max(lobes, float(kind.values["lobes"][~palmate].max()))
-    return sum(map(len, blades)) * most_blade_triangles(detail, lobes, teeth)
+    return sum(map(len, blades)) * max_blade_triangles(detail, lobes, teeth)

@@ -39,7 +39,7 @@ RUSSET_MESH_MM: Final = (2.0, 3.5)  # wavelengths of the field whose zeros are t
 STYLE_SCAR_MM: Final = 2.2  # chosen: radius of the corky scar at the blossom end
 DUST: Final = 0.006  # chosen: cover of the skin outside scars and russet, dried drops of spray
 SCRATCHES: Final = 1.2  # chosen: mean number of healed scratches of a fruit
-_LEAST_OWN: Final = 1e-6
+_MIN_OWN: Final = 1e-6
 """Of the part of a field that no other has, over the largest such part. Chosen: ten times the rounding of the
 fields, which are sums in single precision."""
 _WAVES: Final = 14  # chosen: enough that no single one shows as a stripe
@@ -61,7 +61,7 @@ def uncorrelated(fields: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError:
         factor = np.zeros_like(covariance)
     own = np.diag(factor)
-    if own.min() > _LEAST_OWN * own.max():
+    if own.min() > _MIN_OWN * own.max():
         return np.asarray(np.linalg.solve(factor, flat)).reshape(fields.shape)
     spread = np.sqrt(np.diag(covariance))[:, None]
     return np.asarray(np.divide(flat, spread, out=np.zeros_like(flat), where=spread > 0.0)).reshape(

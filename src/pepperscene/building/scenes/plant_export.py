@@ -114,7 +114,7 @@ def export_plant(
         SetupError: the machine cannot render, or has not enough memory; nothing is written.
     """
     from pepperscene.geometry import check_mesh_format, mesh_files
-    from pepperscene.geometry.triangle_counts import most_triangles
+    from pepperscene.geometry.triangle_counts import max_triangles
     from pepperscene.grammar import draw_parameters
     from pepperscene.render import find_quality
 
@@ -130,7 +130,7 @@ def export_plant(
 
     cultivar_stage = growth_stage(cultivar, until, share)
     parameters = draw_parameters(cultivar_stage, random_generator(seed, Stream.PLANT, 0, 0))
-    size = _PROCESS + _PICTURE * picture + _PER_TRIANGLE * detail**2 * most_triangles(parameters)
+    size = _PROCESS + _PICTURE * picture + _PER_TRIANGLE * detail**2 * max_triangles(parameters)
     check_fits(size, f"{cultivar_stage.name}: a plant of detail {detail:g}", "use a smaller detail")
 
     with report_memory_errors():

@@ -151,11 +151,11 @@ def grow_in_memory(
     Raises:
         SetupError: it does not fit.
     """
-    from pepperscene.geometry.triangle_counts import most_triangles
+    from pepperscene.geometry.triangle_counts import max_triangles
     from pepperscene.grammar import build_plant, draw_parameters
 
     parameters = draw_parameters(cultivar, rng, lean)
-    triangles = most_triangles(parameters, detail)
+    triangles = max_triangles(parameters, detail)
     if triangles > _LARGE:
         organs = sum(map(len, parameters.organs.values()))
         check_fits(

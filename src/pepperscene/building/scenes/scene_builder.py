@@ -219,12 +219,12 @@ class SceneBuilder:
 
     def estimate_triangles(self) -> int:
         """Triangles of a scene, from the first plant of the first set: it is drawn, but not built."""
-        from pepperscene.geometry.triangle_counts import most_triangles
+        from pepperscene.geometry.triangle_counts import max_triangles
         from pepperscene.grammar import draw_parameters
         from pepperscene.scene.greenhouse import row_lines
 
         rng = random_generator(self.recipe.seed, Stream.PLANT, 0, 0)
-        per_plant = most_triangles(draw_parameters(self.cultivar, rng))
+        per_plant = max_triangles(draw_parameters(self.cultivar, rng))
         full, far = self.row.plants_front + self.row.plants_back, 0
         if self.greenhouse.far_rows > 0:
             in_line = 2 * math.floor(self.greenhouse.far_reach_m / self.row.spacing_m) + 1

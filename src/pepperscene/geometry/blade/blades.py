@@ -34,7 +34,7 @@ from pepperscene.geometry.spine import Spines, spines
 from pepperscene.grammar.frames import cross
 from pepperscene.grammar.plant import Organ
 
-_MOST_ROLLED: Final = np.radians(240.0)  # chosen: beyond it the tubes of both halves touch
+_MAX_ROLLED: Final = np.radians(240.0)  # chosen: beyond it the tubes of both halves touch
 _ROLL_START: Final = 0.3  # chosen: fraction of the half-width from the midrib where the tube begins
 _DRYING: Final = (0.4, 0.9)  # chosen: ageing between which a blade rolls up, as its tissue dries
 
@@ -146,10 +146,10 @@ def roll_angles(organs: Sequence[Organ], seed: FloatArray) -> FloatArray:
     dry = np.clip((read_measure(organs, "ageing", 0.0) - low) / (high - low), 0.0, 1.0)
     # Chosen: a dry blade goes on rolling as it began, mostly up if it was flat, by 170 to 240 degrees.
     way = np.where(drawn == 0.0, np.where(draws[:, 0] < 0.8, 1.0, -1.0), np.sign(drawn))
-    total = drawn + dry * (way * (0.7 + 0.3 * draws[:, 1]) * _MOST_ROLLED - drawn)
+    total = drawn + dry * (way * (0.7 + 0.3 * draws[:, 1]) * _MAX_ROLLED - drawn)
     # Halves differ by up to a fifth.
     uneven = 1.0 + 0.2 * (2.0 * draws[:, 2:] - 1.0) * np.array([-1.0, 1.0])
-    return np.clip(total[:, None] * uneven, -_MOST_ROLLED, _MOST_ROLLED)
+    return np.clip(total[:, None] * uneven, -_MAX_ROLLED, _MAX_ROLLED)
 
 
 def _section_slopes(
@@ -187,7 +187,7 @@ def _cross_sections(
     """
     grid, rolled = flat.grid, roll_angles(organs, flat.seed)
     # A half that is rolled up is stiff: it curls and waves less.
-    flatter = 1.0 - np.abs(rolled) / _MOST_ROLLED
+    flatter = 1.0 - np.abs(rolled) / _MAX_ROLLED
     slope = _section_slopes(organs, flat, rolled, flatter)
     step = np.diff(flat.out, prepend=0.0, axis=3) * bulge_shrinkage(organs, flat)
     level, rise = np.cos(slope), np.sin(slope)

@@ -17,16 +17,14 @@ from pepperscene.geometry.blade.grid import Grid
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.grammar.plant import Organ
 
-_MOST: Final = 12  # chosen: bites or tears of a blade; with more, hardly any margin is left
+_MAX_NUMBER: Final = 12  # chosen: bites or tears of a blade; with more, hardly any margin is left
 _CENTRE: Final = 0.5  # chosen: distance of a bite's centre from the margin, in radii, outside of the blade
 _ZONE: Final = 2.5  # chosen: radii within which the tissue's vertices move
 _RANGE: Final = (0.4, 0.88)  # chosen: of the margin; below, triangles are too long to show a bite
 _CLUSTER: Final = 0.6  # chosen: fraction of bites that are beside the one before, as a larva feeds
 _GAP: Final = 0.14  # chosen: width of a tear at the margin over its length
 _FLAP: Final = 0.1  # chosen: distance of its edges from the surface, one above and one below, likewise
-_LEAST_AREA: Final = (
-    0.02  # chosen: of a triangle, relative to its area before; thinner ones are inverted soon
-)
+_MIN_AREA: Final = 0.02  # chosen: of a triangle, relative to its area before; thinner ones are inverted soon
 _MIDRIB: Final = np.array([0.5, 0.0])  # uv of the base
 _ROUNDING: Final = 1e-6  # of barycentric coordinates
 _ATTEMPTS: Final = 4  # chosen: each with a cut two thirds as large
@@ -55,7 +53,7 @@ class _Sheet:
             near = np.zeros(len(flat), dtype=bool)
             near[vertices] = True
             faces = self.faces[near[self.faces].any(axis=1)]
-            if np.all(_areas(flat, faces) > _LEAST_AREA * _areas(self.flat, faces)):
+            if np.all(_areas(flat, faces) > _MIN_AREA * _areas(self.flat, faces)):
                 values = self._interpolate(positions, faces)
                 if values is None:
                     # A position is beyond the triangles that move.
@@ -115,15 +113,15 @@ def damage_margins(organs: Sequence[Organ], surfaces: Surfaces, grid: Grid) -> N
         surfaces: their vertices.
         grid: their triangles.
     """
-    bites = np.minimum(read_measure(organs, "bites", 0.0), _MOST).astype(int)
-    tears = np.minimum(read_measure(organs, "tears", 0.0), _MOST).astype(int)
+    bites = np.minimum(read_measure(organs, "bites", 0.0), _MAX_NUMBER).astype(int)
+    tears = np.minimum(read_measure(organs, "tears", 0.0), _MAX_NUMBER).astype(int)
     damaged = np.flatnonzero((bites > 0) | (tears > 0))
     if damaged.size == 0:
         return
     margins = grid.margin_vertices
     seed, width = read_measure(organs, "seed", 0.0), read_measure(organs, "bite_width_m", 0.01)
     depth = read_measure(organs, "tear_depth", 0.5)
-    all_draws = hash_uniform(seed[damaged], 281, 8 * _MOST).reshape(-1, 2, _MOST, 4)
+    all_draws = hash_uniform(seed[damaged], 281, 8 * _MAX_NUMBER).reshape(-1, 2, _MAX_NUMBER, 4)
     for k, draws in zip(damaged.tolist(), all_draws, strict=True):
         flat = (surfaces.uv[k] - _MIDRIB) * surfaces.size[k]
         values = np.concatenate([surfaces.vertices[k], surfaces.state[k][:, None]], axis=1)

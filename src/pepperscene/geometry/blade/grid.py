@@ -156,7 +156,7 @@ def blade_grid(detail: float, lobes: float, teeth: float | None = None) -> Grid:
     return _grid(*_grid_size(detail, lobes, teeth), palmate=teeth is not None)
 
 
-def most_blade_triangles(detail: float, lobes: float, teeth: float | None = None) -> int:
+def max_blade_triangles(detail: float, lobes: float, teeth: float | None = None) -> int:
     """An upper bound of the triangles of `blade_grid`, close to their number, without building it."""
     fan, per_vein, side, pieces = _grid_size(detail, lobes, teeth)
     rows = fan + per_vein * VEIN_PAIRS

@@ -20,7 +20,7 @@ from pepperscene.materials.venation import outline_reach
 _WIDEST: Final = 0.35  # chosen with _BASE from photographs: rounded-cuneate base, drawn-out tip
 _BASE: Final = 0.8
 _SAMPLES: Final = 0.5 - 0.5 * np.cos(np.pi * np.arange(193) / 192)  # positions searched for the widest one
-_MOST_LOBES: Final = 24  # along a margin; finer teeth need more triangles than a blade should have
+_MAX_LOBES: Final = 24  # along a margin; finer teeth need more triangles than a blade should have
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def build_outlines(organs: Sequence[Organ], seed: FloatArray) -> Outlines:
     base = np.clip(read_measure(organs, "base", _BASE), 0.3, 1.1)[:, None, None]
     uneven = np.clip(read_measure(organs, "asymmetry", 0.0), -0.5, 0.5)[:, None]
     half = 0.5 * width[:, None] * (1.0 + uneven * np.array([-1.0, 1.0]))
-    count = np.clip(read_measure(organs, "lobes", 0.0), 0.0, _MOST_LOBES)[:, None, None]
+    count = np.clip(read_measure(organs, "lobes", 0.0), 0.0, _MAX_LOBES)[:, None, None]
     # The lobes of palmate blades are made by `spread_rows`.
     pinnate = read_measure(organs, "palmate", 0.0) == 0.0
     depth = np.where(pinnate, np.clip(read_measure(organs, "lobe_depth", 0.0), 0.0, 0.6), 0.0)[:, None, None]

@@ -32,8 +32,8 @@ _TOOTH_FRONT: Final = 0.3  # fraction of a tooth's length that its side towards 
 _TOOTHLESS: Final = 0.2  # of the half-width: teeth nearer to the midrib are smaller
 _DEEPEST_TOOTH: Final = 0.35, 0.06  # of the distance between teeth, and of the length of a row
 _DEEPEST_LOBE: Final = 0.3, 0.5  # of one lobe, and of several over their number; veins must stay inside
-_MOST_LOBES: Final = 6
-_MOST_TEETH: Final = 60
+_MAX_LOBES: Final = 6
+_MAX_TEETH: Final = 60
 _ANGLES: Final = np.linspace(0.0, _REAR, 241)
 
 
@@ -109,15 +109,15 @@ class _PolarMargins:
         def read(name: str, limit: float) -> FloatArray:
             return np.clip(read_measure(organs, name, 0.0), 0.0, limit)[:, None, None]
 
-        count = 2 + _MOST_LOBES + _MOST_TEETH
-        lobes = np.round(read("lobes", _MOST_LOBES))
+        count = 2 + _MAX_LOBES + _MAX_TEETH
+        lobes = np.round(read("lobes", _MAX_LOBES))
         deepest = np.minimum(_DEEPEST_LOBE[0], _DEEPEST_LOBE[1] / np.maximum(lobes, 1.0))
         margins = cls(
             length=read_positive(organs, "length_m")[:, None],
             half_width=flat.half_width,
             lobes=lobes,
             depth=np.minimum(read("lobe_depth", 1.0), deepest),
-            teeth=np.round(read("teeth", _MOST_TEETH)),
+            teeth=np.round(read("teeth", _MAX_TEETH)),
             tooth_depth=read("tooth_depth_m", np.inf),
             numbers=hash_uniform(flat.seed, 281, 2 * count).reshape(n, 2, count),
             extent=np.ones((n, 2, 3)),
@@ -137,8 +137,8 @@ class _PolarMargins:
         phase = 2.0 * np.pi * self.numbers[..., :1]
         even = direction / _LAST_LOBE * self.lobes
         position = even + 0.05 * (np.sin(2.0 * np.pi * 0.7 * even + phase) - np.sin(phase))
-        index = np.minimum(position.astype(np.intp), _MOST_LOBES - 1)
-        uneven = 0.75 + 0.5 * np.take_along_axis(self.numbers[..., 2 : 2 + _MOST_LOBES], index, axis=2)
+        index = np.minimum(position.astype(np.intp), _MAX_LOBES - 1)
+        uneven = 0.75 + 0.5 * np.take_along_axis(self.numbers[..., 2 : 2 + _MAX_LOBES], index, axis=2)
         notch = np.abs(np.sin(np.pi * position)) ** _POINTED * (position < self.lobes)
         closing = np.sqrt(np.clip(1.0 - (direction / _REAR) ** _REAR_POWER, 0.0, 1.0))
         depth = np.zeros_like(self.depth) if entire else self.depth
@@ -163,8 +163,8 @@ class _PolarMargins:
         part, index = np.modf(position)
         back = 1.0 - _TOOTH_FRONT
         cut = np.where(part < back, part / back, (1.0 - part) / _TOOTH_FRONT)
-        table = self.numbers[..., 2 + _MOST_LOBES :]
-        uneven = 0.6 + 0.4 * np.take_along_axis(table, index.astype(np.intp) % _MOST_TEETH, axis=2)
+        table = self.numbers[..., 2 + _MAX_LOBES :]
+        uneven = 0.6 + 0.4 * np.take_along_axis(table, index.astype(np.intp) % _MAX_TEETH, axis=2)
         # They vanish near the tip, which is a tooth of its own, and around the lower lobes, which are smooth.
         cut = cut * uneven * np.clip(points[..., 0] / (_TOOTHLESS * self.half_width[..., None]), 0.0, 1.0)
         cut = cut * np.clip((_REAR - direction) / (_REAR - _LAST_LOBE), 0.0, 1.0) ** 2

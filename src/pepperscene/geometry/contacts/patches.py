@@ -19,7 +19,7 @@ s^2 / 8R: 0.6 mm for the tip of a pointed fruit or of a lobe, R = 4 mm, nothing 
 PATCH_SIZE: Final = 16
 """Points in a patch, chosen: on a blade, a patch is about 3 cm wide."""
 
-_MOST_STEPS: Final = 32
+_MAX_STEPS: Final = 32
 """Points along the base of a broad triangle at most. Chosen: 144 mm, which no triangle of a shipped plant
 exceeds; a leaf of 2 m would otherwise have half a million points."""
 _BITS: Final = 5  # along either axis of an organ's box, so that all three fit into two bytes
@@ -49,9 +49,7 @@ def fill_triangles(corners: SingleArray) -> tuple[SingleArray, IndexArray]:
     # A slender triangle needs points along its longest edge only, half of them on its neighbour there.
     part = np.where(height > 2.0 * SPACING, 1.0, 0.5)
     # Triangles of very large organs have points that are farther apart.
-    spacing = np.where(
-        part == 1.0, np.maximum(length / _MOST_STEPS, np.float32(SPACING)), np.float32(SPACING)
-    )
+    spacing = np.where(part == 1.0, np.maximum(length / _MAX_STEPS, np.float32(SPACING)), np.float32(SPACING))
     # Rows of points parallel to the base, shorter towards the opposite corner.
     rows = np.ceil(part * height / spacing).astype(np.intp)
     triangle, row = expand_counts(rows)

@@ -21,7 +21,7 @@ from pepperscene.errors import InputError
 from pepperscene.geometry.fruit.scan_glb import glb_bodies
 from pepperscene.geometry.fruit.scan_triangles import (
     ALLOWED_SCAN,
-    MOST_TRIANGLES,
+    MAX_TRIANGLES_READ,
     ScanTriangles,
     check_count,
     checked_triangles,
@@ -30,11 +30,11 @@ from pepperscene.geometry.fruit.scan_triangles import (
 from pepperscene.geometry.mesh import FloatArray
 from pepperscene.user_files import MissingFileError, open_file
 
-_MOST_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 100_000_000, ".stl": 100_000_000}
+_MAX_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 100_000_000, ".stl": 100_000_000}
 """Chosen: a million triangles fit, with colours and textures, and are read with less than 2 GB of memory."""
-_MOST_TEXT: Final = 100_000_000
-_MOST_WORDS: Final = 16 * MOST_TRIANGLES  # chosen: coordinates, texture coordinates and normals need 10
-_MOST_MATERIALS: Final = 1_000  # chosen: the time that trimesh takes grows with the square
+_MAX_TEXT: Final = 100_000_000
+_MAX_WORDS: Final = 16 * MAX_TRIANGLES_READ  # chosen: coordinates, texture coordinates and normals need 10
+_MAX_MATERIALS: Final = 1_000  # chosen: the time that trimesh takes grows with the square
 
 _STL_HEADER: Final = 84  # bytes: 80 of any content, and the number of triangles (StereoLithography 1989)
 _UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -73,7 +73,7 @@ def read_triangles(path: Path, *, colour: bool = False) -> ScanTriangles:
 
 def _read_content(path: Path) -> bytes:
     """The bytes of a file that is not too long for its format."""
-    most = _MOST_BYTES[path.suffix.lower()]
+    most = _MAX_BYTES[path.suffix.lower()]
     try:
         with open_file(path, "mesh") as file:
             content = file.read(most + 1)
@@ -91,8 +91,8 @@ def _read_content(path: Path) -> bytes:
 
 def _text(content: bytes, path: Path) -> str:
     """The text of a file that is not too long."""
-    if len(content) > _MOST_TEXT:
-        size = _MOST_TEXT // 1_000_000
+    if len(content) > _MAX_TEXT:
+        size = _MAX_TEXT // 1_000_000
         raise InputError(
             path, f"is longer than {size} MB, the most that is read of text: save it as binary PLY"
         )
@@ -103,11 +103,11 @@ def _obj_content(content: bytes, path: Path) -> bytes:
     """The content, if trimesh can read so many words and materials."""
     text = _text(content, path)
     words = sum(text.count(space) for space in " \t\n")
-    if words > _MOST_WORDS:
-        problem = f"has {words:,} words, and at most {_MOST_WORDS:,} are read: simplify it before"
+    if words > _MAX_WORDS:
+        problem = f"has {words:,} words, and at most {_MAX_WORDS:,} are read: simplify it before"
         raise InputError(path, problem)
-    if (materials := text.count("usemtl")) > _MOST_MATERIALS:
-        problem = f"has {materials:,} changes of its material, and at most {_MOST_MATERIALS:,} are read"
+    if (materials := text.count("usemtl")) > _MAX_MATERIALS:
+        problem = f"has {materials:,} changes of its material, and at most {_MAX_MATERIALS:,} are read"
         raise InputError(path, f"{problem}: export it without materials")
     return text.encode()
 
@@ -148,9 +148,9 @@ def _ply_content(content: bytes, path: Path) -> bytes:
         raise damaged_scan(path, "its header has no line `end_header`")
     sizes = _ply_elements(content[:end].decode("latin-1"), path)
     check_count(sum(count for name, count, _ in sizes if name == "face"), path)
-    if (most := max((count for _, count, _ in sizes), default=0)) > 3 * MOST_TRIANGLES:
+    if (most := max((count for _, count, _ in sizes), default=0)) > 3 * MAX_TRIANGLES_READ:
         raise InputError(
-            path, f"has {most:,} points, and at most {3 * MOST_TRIANGLES:,} are read: simplify it before"
+            path, f"has {most:,} points, and at most {3 * MAX_TRIANGLES_READ:,} are read: simplify it before"
         )
     is_text = len(lines) > 1 and lines[1].split()[:2] == [b"format", b"ascii"]
     if not is_text:

@@ -19,7 +19,7 @@ from pepperscene.camera.image.colorimetry import srgb_decode
 from pepperscene.document import parse_json
 from pepperscene.errors import InputError
 from pepperscene.geometry.fruit.scan_triangles import (
-    MOST_TRIANGLES,
+    MAX_TRIANGLES_READ,
     ScanTriangles,
     check_count,
     damaged_scan,
@@ -27,9 +27,9 @@ from pepperscene.geometry.fruit.scan_triangles import (
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 
 _JSON, _BIN = b"JSON", b"BIN\0"
-_MOST_JSON: Final = 16_000_000  # bytes; chosen: a scan's has a few kilobytes
-_MOST_NODES: Final = 100_000  # chosen
-_MOST_PIXELS: Final = 8192 * 8192  # of all textures; chosen: 200 MB as an image of 8 bits
+_MAX_JSON: Final = 16_000_000  # bytes; chosen: a scan's has a few kilobytes
+_MAX_NODES: Final = 100_000  # chosen
+_MAX_PIXELS: Final = 8192 * 8192  # of all textures; chosen: 200 MB as an image of 8 bits
 _IMAGES: Final = ("PNG", "JPEG", "WEBP")
 _TYPES: Final[Mapping[int, str]] = {
     5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4",
@@ -64,7 +64,7 @@ def _scene_bodies(
     if required:
         raise InputError(path, f"needs {required[0]}, which is not read: export it without that extension")
     file = _Accessors(tree, binary, path)
-    bodies, triangles, most_points = [], 0, 3 * MOST_TRIANGLES
+    bodies, triangles, most_points = [], 0, 3 * MAX_TRIANGLES_READ
     for transform, primitive in _primitives(tree, path):
         mode = primitive.get("mode", _TRIANGLES)
         if mode < _TRIANGLES:
@@ -111,8 +111,8 @@ def _chunks(content: bytes, path: Path) -> tuple[dict[str, Any], memoryview]:
         chunks.setdefault(kind, view[start : start + size])
         start += size
     text = chunks.get(_JSON, b"")
-    if len(text) > _MOST_JSON:
-        raise damaged_scan(path, f"its structure has {len(text)} bytes, and at most {_MOST_JSON} are read")
+    if len(text) > _MAX_JSON:
+        raise damaged_scan(path, f"its structure has {len(text)} bytes, and at most {_MAX_JSON} are read")
     tree = parse_json(bytes(text))
     if not isinstance(tree, dict):
         raise damaged_scan(path, "its structure is not a table")
@@ -122,8 +122,8 @@ def _chunks(content: bytes, path: Path) -> tuple[dict[str, Any], memoryview]:
 def _primitives(tree: Mapping[str, Any], path: Path) -> Iterator[tuple[FloatArray, dict[str, Any]]]:
     """Each primitive of the scene with the transform of its node, `(4, 4)`."""
     nodes = tree.get("nodes", [])
-    if len(nodes) > _MOST_NODES:
-        raise damaged_scan(path, f"it has {len(nodes)} nodes, and at most {_MOST_NODES} are read")
+    if len(nodes) > _MAX_NODES:
+        raise damaged_scan(path, f"it has {len(nodes)} nodes, and at most {_MAX_NODES} are read")
     scene = tree["scenes"][_index(tree.get("scene", 0))]
     stack = [(_index(root), np.eye(4)) for root in reversed(scene.get("nodes", []))]
     visited: set[int] = set()
@@ -203,7 +203,7 @@ class _Accessors:
         try:
             with Image.open(io.BytesIO(self._view(source["bufferView"])), formats=_IMAGES) as image:
                 self._pixels += image.width * image.height
-                if self._pixels > _MOST_PIXELS:
+                if self._pixels > _MAX_PIXELS:
                     raise Image.DecompressionBombError
                 self._images[image_number] = np.asarray(image.convert("RGB"))
         except UnidentifiedImageError:
@@ -234,7 +234,7 @@ class _Accessors:
             raise damaged_scan(
                 self._path, f"an array announces {count} entries, but {len(content)} bytes follow"
             )
-        if count > 3 * MOST_TRIANGLES:
+        if count > 3 * MAX_TRIANGLES_READ:
             raise damaged_scan(self._path, f"an array has {count} entries, more than are read")
         return np.ndarray((count, width), dtype, content, offset, (stride, dtype.itemsize))
 

@@ -16,7 +16,7 @@ ALLOWED_SCAN: Final = (
     "upright with its stalk end on top"
 )
 
-MOST_TRIANGLES: Final = 1_000_000
+MAX_TRIANGLES_READ: Final = 1_000_000
 """That are read. Chosen: forty times what is used, 0.2 mm apart on a fruit of 80 mm."""
 _LARGEST_COORDINATE: Final = 1e12
 """Chosen: a metre in picometres; products of three such numbers do not overflow."""
@@ -33,8 +33,10 @@ class ScanTriangles:
 
 def check_count(triangles: int, path: Path) -> None:
     """Raise `InputError` if a file has more triangles than are read."""
-    if triangles > MOST_TRIANGLES:
-        problem = f"has {triangles:,} triangles, and at most {MOST_TRIANGLES:,} are read: simplify it before"
+    if triangles > MAX_TRIANGLES_READ:
+        problem = (
+            f"has {triangles:,} triangles, and at most {MAX_TRIANGLES_READ:,} are read: simplify it before"
+        )
         raise InputError(path, problem)
 
 

@@ -16,7 +16,7 @@ from pepperscene.grammar.frames import cross
 
 _SIDES: Final = 6  # chosen: twine is a few pixels wide
 _STEP_M: Final = 2.5e-4  # chosen: sampling step along the stem
-_MOST_STEPS: Final = 40000
+_MAX_STEPS: Final = 40000
 _PRESSED_M: Final = 1e-4  # chosen: depth by which taut twine presses into the stem's ridges
 _DEVIATION_M: Final = 1.8e-4  # chosen: distance by which the straight pieces may leave the twine's curve
 _LONGEST_M: Final = 0.04  # chosen: length of pieces; longer ones along a curve would show
@@ -104,7 +104,7 @@ class _Stem:
         knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))])
         if len(axis) < 2 or not knots[-1] > 0.0:
             raise ValueError("a stem's axis needs at least two distinct points")
-        step = max(_STEP_M, knots[-1] / _MOST_STEPS)
+        step = max(_STEP_M, knots[-1] / _MAX_STEPS)
         self.along = np.linspace(0.0, knots[-1], int(np.ceil(knots[-1] / step)) + 1)
         self.ball = ball
         step = float(self.along[1])
