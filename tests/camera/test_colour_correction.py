@@ -129,6 +129,7 @@ def test_infrared_cut_improves_the_colours(infrared_sensor):
     assert filtered < 2.5 < chart_delta_e(infrared_sensor, d65_spectrum())
 
 
+@pytest.mark.long
 def test_illuminance_and_correction_do_not_import_colour_science():
     code = (
         "import sys; from pepperscene.camera import load_sensor\n"

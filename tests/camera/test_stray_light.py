@@ -44,6 +44,7 @@ def test_convolution_has_the_bits_of_scipy(shape, size):
     np.testing.assert_array_equal(convolve_inside(image, weights), fftconvolve(image, weights, mode="valid"))
 
 
+@pytest.mark.long
 def test_stray_light_does_not_import_scipy_signal():
     code = (
         "import sys, numpy; from pepperscene.camera import *\n"

@@ -179,12 +179,14 @@ def imported_packages(path):
             yield (node.module or "").partition(".")[0]
 
 
+@pytest.mark.long
 def test_one_module_imports_colour():
     folder = Path(pepperscene.__file__).parent
     modules = [path for path in folder.rglob("*.py") if "colour" in imported_packages(path)]
     assert modules == [folder / "spectra" / "lights.py"]
 
 
+@pytest.mark.long
 def test_only_the_matplotlib_warning_is_suppressed():
     # What the colour correction of a camera needs of it.
     code = (

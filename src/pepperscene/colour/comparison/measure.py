@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import decode_tone
-from pepperscene.camera.image.colorimetry import XYZ_TO_SRGB, adapted_xyz, d65_spectrum
+from pepperscene.camera.image.colorimetry import NM, XYZ_TO_SRGB, adapted_xyz, d65_spectrum
 from pepperscene.classes import OrganClass
 from pepperscene.colour.comparison.appearance import WHOLE, Scale, add_appearance
 from pepperscene.colour.comparison.bootstrap import BootstrapSums, Floats, bootstrap_weights
@@ -176,7 +176,7 @@ def reflectance_to_linear_srgb(reflectance: Spectrum) -> Floats:
     Outside the measured range its end values are used; the observer sees little there.
     """
     extended = Spectrum(reflectance.wavelength_nm, reflectance.values, "hold")
-    (xyz,) = adapted_xyz(d65_spectrum(), extended.at(np.arange(300.0, 1101.0))[None])
+    (xyz,) = adapted_xyz(d65_spectrum(), extended.at(NM)[None])
     return np.asarray(xyz @ XYZ_TO_SRGB.T)
 
 

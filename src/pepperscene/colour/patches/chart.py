@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera import decode_tone
 from pepperscene.camera.image.colorimetry import (
     COLOUR_CHECKER_FILE,
+    NM,
     XYZ_TO_SRGB,
     adapted_xyz,
     colour_checker_reflectances,
@@ -38,7 +39,6 @@ _MAX_SATURATED: Final = 0.01  # chosen: fraction of a field's pixels with a chan
 _MIN_FIELDS: Final = 12  # chosen: half of the chart, for the nine numbers of a matrix
 _MIN_WHITE: Final = 0.05  # chosen: linear; the black field, 28 times as dark, is then half a code
 _MAX_DELTA_E: Final = 10.0  # chosen: mean CIEDE2000; a chart through a camera's own tone curve has half of it
-_NM: Final = np.arange(300.0, 1101.0)  # the grid of `adapted_xyz`
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def calibrate(
 @lru_cache(maxsize=1)
 def chart_linear() -> Floats:
     """`(24, 3)` linear sRGB of the chart's fields under D65; cyan is outside the sRGB gamut."""
-    return adapted_xyz(d65_spectrum(), colour_checker_reflectances().at(_NM)) @ XYZ_TO_SRGB.T
+    return adapted_xyz(d65_spectrum(), colour_checker_reflectances().at(NM)) @ XYZ_TO_SRGB.T
 
 
 @lru_cache(maxsize=1)
