@@ -10,6 +10,7 @@ import pytest
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.scenes.optics import largest_light_reach
 from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
 from pepperscene.recipe.plan import frame_seed
@@ -225,6 +226,7 @@ def test_the_reach_of_light_covers_all_limits_of_automatic_exposures():
     changes = {"plan.frames": 2, "camera.exposure_us": "auto", "auto_exposure.exposure_us": limits}
     recipe = load_recipe("barth2018", changes)
     renderer, specs = FrameRenderer(recipe), [recipe.plan.frame(index) for index in range(2)]
-    long, short = (renderer._light_reach([spec]).sky for spec in specs)
+    setups = [renderer.setups.at(spec) for spec in specs]
+    long, short = (largest_light_reach([setup]).sky for setup in setups)
     assert long > 2 * short > 0
-    assert renderer._light_reach(specs).sky == long
+    assert largest_light_reach(setups).sky == long

@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.scenes.optics import largest_light_reach
 from pepperscene.errors import InputError
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
@@ -87,7 +88,12 @@ def check_scene(resolved):
             assert np.isfinite(view.intrinsics).all()
             assert 0 < view.exposure_s * view.sensor.gain_e_per_dn < math.inf
     assert np.isfinite(renderer.views.frustums(specs).positions).all()
-    assert all(map(math.isfinite, dataclasses.astuple(renderer._light_reach(specs))))
+    assert all(
+        map(
+            math.isfinite,
+            dataclasses.astuple(largest_light_reach([renderer.setups.at(spec) for spec in specs])),
+        )
+    )
     sky = renderer.sky(specs[0])
     if sky is not None and sky.sun is not None:
         assert float(np.asarray(sky.sun.irradiance.values).max()) > 1e-38
