@@ -32,8 +32,8 @@ _OTHER_ENCODINGS: Final = (
 """Byte-order marks of encodings that are not read."""
 _LONG_KEY: Final = re.compile(r"""(?:\.[ \t]*(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*){32}""")
 """The end of a dotted key of more parts than `_MAX_DEPTH`."""
-_MOST_KEYS: Final = 50_000  # chosen: keys, tables and lists of a TOML file; reading takes some kB for each
-_MOST_VALUES: Final[Mapping[FileKind, int]] = {
+_MAX_KEYS: Final = 50_000  # chosen: keys, tables and lists of a TOML file; reading takes some kB for each
+_MAX_VALUES: Final[Mapping[FileKind, int]] = {
     "json": 2_000_000,  # 65,535 instances, the most of a frame, have half as many
     "poses": 4_000_000,  # 100,000 poses, the most that are read, have 2.6 million
     "annotations": 100_000_000,  # COCO's own largest file has as many coordinates of polygons
@@ -113,7 +113,7 @@ def parse_json(content: bytes, kind: FileKind = "json") -> Any:
     Raises:
         ValueError: it is not JSON, is nested too deeply, or has more values than a file of its kind may have.
     """
-    most = _MOST_VALUES[kind]
+    most = _MAX_VALUES[kind]
     # Each value but the first follows one of these characters.
     if len(content) > most and sum(map(content.count, (b"[", b"{", b",", b":"))) > most:
         raise ValueError(f"it has more than {most:,} values")
@@ -125,10 +125,10 @@ def parse_json(content: bytes, kind: FileKind = "json") -> Any:
 
 def _check_cost(text: str, path: Path) -> None:
     """Refuse what costs far more than its length: many keys and tables, and keys of many parts."""
-    if sum(map(text.count, "=[{")) > _MOST_KEYS:
+    if sum(map(text.count, "=[{")) > _MAX_KEYS:
         if "[" * (_MAX_DEPTH + 1) in text:
             raise InputError(path, f"is nested too deeply: more than {_MAX_DEPTH} levels")
-        raise InputError(path, f"has more than {_MOST_KEYS:,} keys, tables and lists")
+        raise InputError(path, f"has more than {_MAX_KEYS:,} keys, tables and lists")
     # The parser's time for a dotted key grows with the square of its parts.
     if text.count(".") > _MAX_DEPTH and _LONG_KEY.search(text):
         raise InputError(path, f"is nested too deeply: more than {_MAX_DEPTH} levels")
@@ -239,7 +239,7 @@ def _keys_of_file(location: tuple[str | int, ...], data: Any) -> tuple[str | int
     return tuple(keys)
 
 
-_MOST_FILES: Final = 20  # chosen: more files than a reader can follow
+_MAX_FILES: Final = 20  # chosen: more files than a reader can follow
 
 
 def extends_chain(
@@ -279,7 +279,7 @@ def extends_chain(
             parent = find_file(folder, name if is_bare else target)
         except InputError as error:
             raise InputError(path, error.problem, key="extends", value=name) from None
-        if len(files) == _MOST_FILES or parent.resolve() in {file.resolve() for file, _ in files}:
-            problem = f"forms a cycle, or is longer than {_MOST_FILES} files"
+        if len(files) == _MAX_FILES or parent.resolve() in {file.resolve() for file, _ in files}:
+            problem = f"forms a cycle, or is longer than {_MAX_FILES} files"
             raise InputError(path, problem, key="extends", value=name)
         path = parent

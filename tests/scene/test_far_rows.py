@@ -215,7 +215,7 @@ def test_parents_of_far_organs_are_instances_of_the_same_plant(coarse):
     [(100_000, FarDetail.ORGANS), (3000, FarDetail.FRUIT), (500, FarDetail.PLANTS), (60, FarDetail.ROWS)],
 )
 def test_instances_are_merged_as_far_as_needed(coarse, monkeypatch, limit, detail):
-    monkeypatch.setattr(far_rows, "MOST_INSTANCES", limit)
+    monkeypatch.setattr(far_rows, "MAX_INSTANCES", limit)
     meshes = rows([coarse, coarse])
     plants = sum(len({item.plant for item in mesh.instances}) for mesh in meshes)
     count = sum(len(mesh.instances) for mesh in meshes)

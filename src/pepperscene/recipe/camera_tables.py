@@ -30,8 +30,8 @@ from pepperscene.units import (
 FIRST_CAMERA: Final = "main"
 """Name of the camera of the table `[camera]` on a rig."""
 
-MOST_CAMERAS: Final = 64  # chosen: more than a robot carries
-_MOST_TWINS: Final = 1000  # chosen: as the largest number of sets
+MAX_CAMERAS: Final = 64  # chosen: more than a robot carries
+_MAX_TWINS: Final = 1000  # chosen: as the largest number of sets
 Offset = Annotated[float, within(-10_000, 10_000), MILLIMETRES]
 _PLACE: Final = ("name", "position_mm", "rotation_deg")
 
@@ -78,7 +78,7 @@ class RigCamera(Document):
 def extrinsics(
     position_m: tuple[float, float, float], rotation_rad: tuple[float, float, float]
 ) -> NDArray[np.float64]:
-    """`(4, 4)` from a camera's axes to those of another, metres; arguments as of `RigCamera`."""
+    """`(4, 4)` from a camera's axes to those of another, metres; arguments as in `RigCamera`."""
     from scipy.spatial.transform import Rotation
 
     right, up, clockwise = rotation_rad
@@ -92,8 +92,8 @@ def extrinsics(
 
 def _check_twins(twins: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
     for key, values in twins.items():
-        if not 2 <= len(values) <= _MOST_TWINS:
-            raise ValueError(f"must have 2 to {_MOST_TWINS} values for each key, but {key} has {len(values)}")
+        if not 2 <= len(values) <= _MAX_TWINS:
+            raise ValueError(f"must have 2 to {_MAX_TWINS} values for each key, but {key} has {len(values)}")
     lengths = {len(values) for values in twins.values()}
     if len(lengths) > 1:
         counts = ", ".join(f"{key} has {len(values)}" for key, values in twins.items())

@@ -17,7 +17,7 @@ from pepperscene.document import Document, read_toml
 from pepperscene.recipe import tables
 from pepperscene.recipe.camera_tables import (
     AUTO,
-    MOST_CAMERAS,
+    MAX_CAMERAS,
     AutoExposureTable,
     CameraTable,
     DepthCameraTable,
@@ -97,7 +97,7 @@ class Recipe(Document):
     depth_camera: DepthCameraTable | None = None
     white_reference: tables.WhiteReferenceTable | None = None
     override: dict[str, Any] = Field(default_factory=dict)
-    rig: Annotated[tuple[RigCamera, ...], Field(max_length=MOST_CAMERAS - 1)] = ()
+    rig: Annotated[tuple[RigCamera, ...], Field(max_length=MAX_CAMERAS - 1)] = ()
     twins: Twins = Field(default_factory=dict)
     _variation: tuple[Varied, ...] = PrivateAttr(())
 
@@ -120,7 +120,7 @@ class Recipe(Document):
         return recipe
 
     def with_seed(self, seed: int | None) -> Recipe:
-        """The recipe with another seed, or itself if that is None; errors as of `check_seed`."""
+        """The recipe with another seed, or itself if that is None; errors as in `check_seed`."""
         return self if seed is None else self.model_copy(update={"seed": check_seed(seed)})
 
     def identity(self) -> dict[str, Any]:

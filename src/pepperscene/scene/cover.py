@@ -20,8 +20,8 @@ from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material
 _CONVERGED: Final = 1e-12  # chosen: rounding of doubles, well below that of the float32 sky
 _MAX_ITERATIONS: Final = 1000  # chosen: ten times the iterations of the narrowest lobe
 
-_LEAST_VISIBLE: Final = 1e-6  # luminous transmittance; chosen: a hundredth of a blackout screen's
-_LEAST_VISIBLE_SHARE: Final = 0.1
+_MIN_VISIBLE: Final = 1e-6  # luminous transmittance; chosen: a hundredth of a blackout screen's
+_MIN_VISIBLE_SHARE: Final = 0.1
 """Luminous transmittance over the greatest at any wavelength. Chosen: the light below a darker cover is
 infrared, and its illuminance would mean more of that than the renderer's numbers can hold."""
 
@@ -200,10 +200,10 @@ def load_cover(name_or_path: str | Path) -> Cover:
     transmittance = replace(read_fraction(path, "transmittance", table.file, table.column), outside="hold")
     observer, greatest = photopic_efficiency(), float(transmittance.values.max())
     visible = float(observer.integral(transmittance) / observer.integral())
-    if not visible >= max(_LEAST_VISIBLE, _LEAST_VISIBLE_SHARE * greatest):
+    if not visible >= max(_MIN_VISIBLE, _MIN_VISIBLE_SHARE * greatest):
         problem = (
-            f"must let visible light through: {visible:.3g} of it passes; at least {_LEAST_VISIBLE:g} and "
-            f"{_LEAST_VISIBLE_SHARE:g} of the greatest transmittance, {greatest:.3g}, must"
+            f"must let visible light through: {visible:.3g} of it passes; at least {_MIN_VISIBLE:g} and "
+            f"{_MIN_VISIBLE_SHARE:g} of the greatest transmittance, {greatest:.3g}, must"
         )
         raise InputError(path, problem, key="transmittance.column", value=table.column)
     return Cover(document.name, transmittance, document.haze, width_rad)

@@ -35,7 +35,7 @@ _STEPS: Final = {
 }
 """Grid steps of u and v that are left, by class. Chosen: 20 mm are ten pixels at 1 m, and out of focus."""
 
-MOST_INSTANCES: Final = 60_000
+MAX_INSTANCES: Final = 60_000
 """Chosen: instances of a scene with far rows, below the 65,535 of a 16-bit image."""
 
 
@@ -185,7 +185,7 @@ def far_row_meshes(
 
 
 def far_detail(sizes: dict[FarDetail, list[int]], plants: NDArray[np.intp], others: int) -> FarDetail:
-    """The finest detail with which a scene has at most `MOST_INSTANCES`; `ROWS` always fits.
+    """The finest detail with which a scene has at most `MAX_INSTANCES`; `ROWS` always fits.
 
     Args:
         sizes: instances of each model, by detail.
@@ -193,7 +193,7 @@ def far_detail(sizes: dict[FarDetail, list[int]], plants: NDArray[np.intp], othe
         others: instances that are not in far rows.
     """
     for detail in (FarDetail.ORGANS, FarDetail.FRUIT, FarDetail.PLANTS):
-        if others + int(np.dot(sizes[detail], plants)) <= MOST_INSTANCES:
+        if others + int(np.dot(sizes[detail], plants)) <= MAX_INSTANCES:
             return detail
     return FarDetail.ROWS
 

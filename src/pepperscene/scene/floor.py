@@ -65,7 +65,7 @@ def reflected_radiance(
 
     Args:
         wavelength_nm: `(n,)`.
-        leaf_area_index: as of `transmitted_daylight`.
+        leaf_area_index: as in `transmitted_daylight`.
         sun_elevation_rad: likewise.
         diffuse: `(n,)` irradiance of a level plane above the crop by scattered light, W m-2 nm-1.
         beam: `(n,)` likewise, by the sun's disc.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.errors import ArgumentError
 
 Array = NDArray[np.float64]
-MOST_POSES: Final = 100_000
+MAX_POSES: Final = 100_000
 """In a list, a grid or a path. Chosen: more than an hour at 25 frames per second, in 13 MB."""
 LEAST_INTERVAL_S: Final = 1e-6
 """Between the times of two poses. Chosen: no camera takes a million images a second, and velocities computed

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.checks import MOST_POSES
+from pepperscene.camera.poses.checks import MAX_POSES
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> NDArray[np.float64]:
@@ -90,8 +90,8 @@ def grid_poses(
         raise ValueError("each list of a grid must have at least one number, and finite ones only")
     if not np.all(lists[1] > 0):
         raise ValueError("distances must be positive")
-    if (count := math.prod(values.size for values in lists)) > MOST_POSES:
-        raise ValueError(f"a grid of {count:,} poses is too large; at most {MOST_POSES:,} are allowed")
+    if (count := math.prod(values.size for values in lists)) > MAX_POSES:
+        raise ValueError(f"a grid of {count:,} poses is too large; at most {MAX_POSES:,} are allowed")
     x, distance, height, azimuth, pitch = (part.ravel() for part in np.meshgrid(*lists, indexing="ij"))
     axis = np.column_stack([centre[0] + x, np.full(count, centre[1]), height])
     return _facing(axis, distance[:, None], azimuth, pitch[:, None])

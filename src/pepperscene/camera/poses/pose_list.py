@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pepperscene.camera.poses.checks import (
     LATEST_S,
     LEAST_INTERVAL_S,
-    MOST_POSES,
+    MAX_POSES,
     check_intervals,
     check_poses,
     too_close,
@@ -50,8 +50,8 @@ class PoseList:
 
     def __post_init__(self) -> None:
         poses = np.array(self.poses, dtype=float)
-        if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not 1 <= len(poses) <= MOST_POSES:
-            raise ValueError(f"poses must have the shape (n, 4, 4) with n from 1 to {MOST_POSES:,}")
+        if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not 1 <= len(poses) <= MAX_POSES:
+            raise ValueError(f"poses must have the shape (n, 4, 4) with n from 1 to {MAX_POSES:,}")
         check_poses(poses)
         if self.times_s is not None:
             times = np.array(self.times_s, dtype=float)
@@ -191,9 +191,9 @@ def check_count(count: int, path: Path) -> None:
     Raises:
         InputError: there are none, or more than 100,000.
     """
-    if not 1 <= count <= MOST_POSES:
-        problem = "contains no poses" if count < 1 else f"contains more than {MOST_POSES:,} poses"
-        raise InputError(path, f"{problem}; 1 to {MOST_POSES:,} are allowed")
+    if not 1 <= count <= MAX_POSES:
+        problem = "contains no poses" if count < 1 else f"contains more than {MAX_POSES:,} poses"
+        raise InputError(path, f"{problem}; 1 to {MAX_POSES:,} are allowed")
 
 
 def text_of(values: Array) -> list[str]:

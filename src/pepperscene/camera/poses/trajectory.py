@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.checks import MOST_POSES, check_intervals, check_poses, check_times
+from pepperscene.camera.poses.checks import MAX_POSES, check_intervals, check_poses, check_times
 from pepperscene.camera.poses.generators import pose_along
 
 if TYPE_CHECKING:
@@ -152,8 +152,8 @@ def trajectory_from_poses(
     matrices, times = np.array(poses, dtype=float), np.asarray(times_s, dtype=float)
     if times.ndim != 1 or not times.size or matrices.shape != (len(times), 4, 4):
         raise ValueError("a trajectory needs as many poses (n, 4, 4) as times (n,), and at least one")
-    if len(times) > MOST_POSES:
-        raise ValueError(f"{len(times):,} poses are too many; at most {MOST_POSES:,} are allowed")
+    if len(times) > MAX_POSES:
+        raise ValueError(f"{len(times):,} poses are too many; at most {MAX_POSES:,} are allowed")
     check_intervals(times)
     check_poses(matrices)
     matrices[:, :2, 3] += centre
@@ -182,13 +182,13 @@ def _frame_times(duration_s: float, count: int | None, frame_interval_s: float |
         intervals = duration_s / _positive(frame_interval_s, "interval between frames")
         # An end that is missed by rounding alone counts.
         number = np.floor(intervals + 1e-9) + 1
-        allowed = number <= MOST_POSES
+        allowed = number <= MAX_POSES
         times = np.arange(number if allowed else 0) * frame_interval_s
     else:
-        number, allowed = count, 1 <= (count or 0) <= MOST_POSES
+        number, allowed = count, 1 <= (count or 0) <= MAX_POSES
         times = np.linspace(0.0, duration_s, count or 0) if allowed else np.zeros(0)
     if not allowed:
-        raise ValueError(f"a path has 1 to {MOST_POSES:,} poses, not {number:,.0f}")
+        raise ValueError(f"a path has 1 to {MAX_POSES:,} poses, not {number:,.0f}")
     return np.minimum(times, duration_s)
 
 

@@ -125,7 +125,7 @@ class CameraViews:
     def depth_camera(
         self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None
     ) -> DepthCamera | None:
-        """The depth camera of a frame at its pose, or None; arguments as of `camera`.
+        """The depth camera of a frame at its pose, or None; arguments as in `camera`.
 
         It moves with the main camera, also in frames of other cameras of a rig.
         """

@@ -132,7 +132,7 @@ class FrameSetup:
 
     Attributes:
         recipe: without variation.
-        cultivar, camera, cover, depth_camera: as of `ResolvedRecipe`.
+        cultivar, camera, cover, depth_camera: as in `ResolvedRecipe`.
         drawn: the values that differ between frames, by dotted key, ready for JSON.
         plants: identifies the values that plants and their surroundings depend on.
         light: identifies the values that the sky depends on.

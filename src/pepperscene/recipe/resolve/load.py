@@ -67,7 +67,7 @@ def resolve_recipe(
     *,
     allow_code: bool = False,
 ) -> ResolvedRecipe:
-    """Load a recipe and the files that it names, with errors as of `load_recipe`.
+    """Load a recipe and the files that it names, with errors as in `load_recipe`.
 
     Args:
         recipe: name of a shipped one, path, or a recipe. A resolved one is not loaded again.

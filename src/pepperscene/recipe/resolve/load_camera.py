@@ -28,7 +28,7 @@ MAX_WAVELENGTH_NM: Final = 2500.0
 _TYPICAL_EXPOSURE_S: Final = 1e-3
 """Placeholder until automatic exposure has set one. Chosen: only its order of magnitude matters, to decide
 what light can be neglected."""
-_LEAST_EFFICIENCY: Final = 1e-9
+_MIN_EFFICIENCY: Final = 1e-9
 """Electrons per photon, of the most sensitive colour. Chosen: less than any dark current leaves visible, and
 far from where single precision ends."""
 
@@ -37,7 +37,7 @@ _F_NUMBER: Final = 2.0  # chosen: camera modules of webcams, phones and depth ca
 _TRANSMITTANCE: Final = 0.9
 """Chosen: 5 to 7 glasses or plastic lenses, coated, transmit 0.87 to 0.95."""
 
-_MOST_KEPT: Final = 64
+_MAX_KEPT: Final = 64
 """Chosen: more files than most recipes name. A cultivar takes 0.3 MB, and a recipe can vary its values in
 every frame."""
 
@@ -77,14 +77,14 @@ class NamedFiles:
             if error.key or error.where != name:
                 raise
             raise InputError(where, error.problem, key=key, value=name) from None
-        if len(self._contents) >= _MOST_KEPT:
+        if len(self._contents) >= _MAX_KEPT:
             del self._contents[next(iter(self._contents))]
         self._contents[index] = loaded
         return loaded
 
 
 def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Camera:
-    """Load the camera with the recipe's settings, without a pose; arguments and errors as of `load_files`."""
+    """Load the camera with the recipe's settings, without a pose; arguments and errors as in `load_files`."""
     from pepperscene.camera import Camera, load_flash
 
     where, table, files = where or recipe.name, recipe.camera, files or NamedFiles()
@@ -163,11 +163,11 @@ def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
     """
     efficiency = sensor.quantum_efficiency
     sensitive = np.flatnonzero((efficiency.values > 0).any(axis=0))
-    if not efficiency.values.max() >= _LEAST_EFFICIENCY:
+    if not efficiency.values.max() >= _MIN_EFFICIENCY:
         raise ValueError("is not sensitive at any wavelength")
     # Light is traced on a grid of half nanometres: a line between whole ones could be missed.
     whole_nm = np.arange(np.ceil(efficiency.wavelength_nm[0]), efficiency.wavelength_nm[-1] + 0.5)
-    if not efficiency.at(whole_nm).max(initial=0.0) >= _LEAST_EFFICIENCY:
+    if not efficiency.at(whole_nm).max(initial=0.0) >= _MIN_EFFICIENCY:
         raise ValueError("is not sensitive at any whole number of nanometres")
     # The curves fall to zero at the neighbouring entries.
     limits = [max(sensitive[0] - 1, 0), min(sensitive[-1] + 1, efficiency.wavelength_nm.size - 1)]
@@ -278,7 +278,7 @@ def _at_size(sensor: Sensor, name: str, columns: int, rows: int) -> Sensor:
     return replace(sensor, columns=columns, rows=rows)
 
 
-_LEAST_DETECTED: Final = 1e-3
+_MIN_DETECTED: Final = 1e-3
 """Chosen: of the highest quantum efficiency; less is the leak of a filter that blocks the projector."""
 
 
@@ -287,7 +287,7 @@ def load_depth_camera(
 ) -> DepthCamera | None:
     """Load the depth camera with the recipe's settings, without a pose; None if the recipe has none.
 
-    Arguments and errors are as of `load_files`.
+    Arguments and errors are as in `load_files`.
     """
     table = recipe.depth_camera
     if table is None:
@@ -325,6 +325,6 @@ def load_depth_camera(
 def _check_detected(projector: Projector, sensor: Sensor, where: str | Path, key: str, name: str) -> None:
     """Raise `InputError` if an imager does not detect the projector."""
     efficiency = sensor.quantum_efficiency
-    if not efficiency.at([projector.wavelength_nm]).max() >= _LEAST_DETECTED * efficiency.values.max():
+    if not efficiency.at([projector.wavelength_nm]).max() >= _MIN_DETECTED * efficiency.values.max():
         problem = f"emits {projector.wavelength_nm:g} nm, which the imagers do not detect"
         raise InputError(where, problem, key=key, value=name)

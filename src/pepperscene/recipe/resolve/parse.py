@@ -29,7 +29,7 @@ from pepperscene.recipe.resolve.resolved import (
 from pepperscene.recipe.tables import PLANT_TABLES
 from pepperscene.recipe.variation.extract import FIXED, OVERRIDE, extract_varied, set_value
 from pepperscene.recipe.variation.varied import (
-    MOST_CHECKED,
+    MAX_CHECKED,
     Key,
     Varied,
     VariedChoice,
@@ -85,7 +85,7 @@ def parse_recipe(table: Mapping[str, Any], where: str) -> Recipe:
 def _check_each(recipe: Recipe, varied: VariedInTurn, where: str) -> None:
     """Check every value of a long list in its table alone, which takes a hundredth of the time."""
     values = distinct_values(varied.values)
-    if len(values) <= MOST_CHECKED or varied.key[0] == OVERRIDE:
+    if len(values) <= MAX_CHECKED or varied.key[0] == OVERRIDE:
         return
     name = str(varied.key[0])
     tables, table = recipe_tables(recipe), TypeAdapter[Any](table_fields(Recipe)[name])
@@ -195,10 +195,10 @@ def _check_rig(recipe: Recipe, where: str) -> None:
 Changes = tuple[tuple[Key, Any], ...]
 """Values of a recipe with their keys."""
 
-_MOST_COMBINATIONS: Final = 128
+_MAX_COMBINATIONS: Final = 128
 """Chosen: those of one group of tables take a tenth of a second. Of more, this number of random ones is
 checked, which miss a given combination of three limits, each lower or upper, with probability 4e-8."""
-_MOST_CULTIVARS: Final = 16  # chosen: loading a cultivar takes longer
+_MAX_CULTIVARS: Final = 16  # chosen: loading a cultivar takes longer
 _LAST: Final = 1.0 - 1e-9  # probability of the highest value that is drawn
 
 
@@ -231,7 +231,7 @@ def check_outcomes(recipe: Recipe, where: str | Path, files: NamedFiles) -> None
     }
     for tables, check in checks.items():
         cameras = range(1 + len(recipe.rig)) if "camera" in tables else range(1)
-        most = _MOST_CULTIVARS if "growth" in tables else _MOST_COMBINATIONS
+        most = _MAX_CULTIVARS if "growth" in tables else _MAX_COMBINATIONS
         for changes, camera in _combinations(_factors(recipe, tables), cameras, most):
             changed = changed_recipe(recipe, changes, str(where), camera)
             try:
@@ -271,7 +271,7 @@ def _levels(group: Sequence[Varied]) -> list[Changes]:
         return [((group[0].key, value),) for value in group[0].extremes]
     if isinstance(group[0], VariedInTurn):
         period = math.lcm(*(len(varied.values) for varied in group if isinstance(varied, VariedInTurn)))
-        turns = range(min(period, _MOST_COMBINATIONS))
+        turns = range(min(period, _MAX_COMBINATIONS))
         return [tuple((varied.key, varied.value(0.0, turn)) for varied in group) for turn in turns]
     probabilities = {0.0, _LAST}
     for varied in group:

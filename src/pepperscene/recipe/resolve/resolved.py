@@ -115,7 +115,7 @@ def check_views(recipe: Recipe, cultivar: Cultivar, where: str | Path) -> None:
 def load_recipe_cover(
     recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None
 ) -> Cover | None:
-    """Load the cover above the crop, if there is one; arguments and errors as of `load_files`."""
+    """Load the cover above the crop, if there is one; arguments and errors as in `load_files`."""
     if recipe.daylight is None or recipe.daylight.cover == NONE:
         return None
     from pepperscene.scene import load_cover
@@ -125,7 +125,7 @@ def load_recipe_cover(
 
 
 def load_recipe_cultivar(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Cultivar:
-    """Load a recipe's cultivar at its growth stage; arguments and errors as of `load_files`."""
+    """Load a recipe's cultivar at its growth stage; arguments and errors as in `load_files`."""
     where = where or recipe.name
     return _at_stage(recipe, where, *_load_stages(recipe, where, files or NamedFiles()))
 
@@ -133,7 +133,7 @@ def load_recipe_cultivar(recipe: Recipe, where: str | Path = "", files: NamedFil
 def check_growth(recipe: Recipe, where: str | Path, files: NamedFiles, blended: set[tuple[str, str]]) -> None:
     """Check that a recipe's cultivar can be loaded at its growth stage.
 
-    Arguments and errors are as of `load_files`.
+    Arguments and errors are as in `load_files`.
     `blended` holds pairs of cultivars that are known to have stages between them; the recipe's is added.
     """
     first, last, fraction = _load_stages(recipe, where, files)

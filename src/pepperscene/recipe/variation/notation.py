@@ -24,7 +24,7 @@ from pepperscene.recipe.variation.varied import (
 _SETTINGS: Final = ("per", "draw", "reversed", "scale", "in_turn", "source", "chosen")
 _NUMBER_KEYS: Final = ("mean", "sd", "low", "high", "value", "uniform", "histogram")
 _SUM_TOLERANCE: Final = 1e-6  # of weights, which files give with few digits
-_MOST_NAMES: Final = 1_000  # chosen: each can be a file, of which checking takes milliseconds
+_MAX_NAMES: Final = 1_000  # chosen: each can be a file, of which checking takes milliseconds
 _EXAMPLES: Final = (
     "{ mean = 1, sd = 0.1 }, { uniform = [0, 1] }, { first = 0.5, second = 0.5 } or { in_turn = [1, 2] }"
 )
@@ -71,8 +71,8 @@ def _values_in_turn(raw: Any) -> tuple[Any, ...]:
     if any(isinstance(value, dict) for value in raw):
         raise ValueError("in_turn must be a list of values, not of tables")
     names = len({value for value in raw if isinstance(value, str)})
-    if names > _MOST_NAMES:
-        raise ValueError(f"in_turn has {names:,} different names; at most {_MOST_NAMES:,} are allowed")
+    if names > _MAX_NAMES:
+        raise ValueError(f"in_turn has {names:,} different names; at most {_MAX_NAMES:,} are allowed")
     return tuple(raw)
 
 
@@ -151,8 +151,8 @@ def _parse_outcomes(
     content: Mapping[str, Any], kind: Kind | None
 ) -> tuple[tuple[Any, ...], tuple[float, ...]]:
     """Outcomes and their probabilities; keys that are numbers or switches become those."""
-    if len(content) > _MOST_NAMES:
-        raise ValueError(f"has {len(content):,} outcomes; at most {_MOST_NAMES:,} are allowed")
+    if len(content) > _MAX_NAMES:
+        raise ValueError(f"has {len(content):,} outcomes; at most {_MAX_NAMES:,} are allowed")
     for name, weight in content.items():
         is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
         if not is_number or not 0.0 <= weight <= 1.0:

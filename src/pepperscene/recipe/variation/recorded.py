@@ -117,10 +117,10 @@ def same_value(expected: Any, found: Any) -> bool:
     return type(expected) is type(found) and bool(expected == found)
 
 
-FEWEST_DRAWS: Final = 20  # chosen: with fewer, hardly any wrong distribution differs from the right one
-_LEAST_EXPECTED: Final = 5.0
+MIN_DRAWS: Final = 20  # chosen: with fewer, hardly any wrong distribution differs from the right one
+_MIN_EXPECTED: Final = 5.0
 """Of draws in a cell of a chi-squared test (Cochran 1954, Biometrics 10:417)."""
-_MOST_CELLS: Final = 50  # chosen: of integers and dates; more cells find a wrong distribution less often
+_MAX_CELLS: Final = 50  # chosen: of integers and dates; more cells find a wrong distribution less often
 
 
 def draw_numbers(per: Level, plan: Plan, indices: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -161,12 +161,12 @@ def goodness_of_fit(varied: Varied, draws: NDArray[np.float64]) -> float | None:
 
     Args:
         varied: the distribution.
-        draws: `(n,)` finite, one for each set, scene or moment, as of `as_number`.
+        draws: `(n,)` finite, one for each set, scene or moment, as in `as_number`.
 
     Returns:
-        The p-value; None for values in turn, constants and fewer than `FEWEST_DRAWS` draws.
+        The p-value; None for values in turn, constants and fewer than `MIN_DRAWS` draws.
     """
-    if len(draws) < FEWEST_DRAWS or isinstance(varied, VariedInTurn):
+    if len(draws) < MIN_DRAWS or isinstance(varied, VariedInTurn):
         return None
     if isinstance(varied, VariedChoice):
         counts = np.bincount(draws.astype(np.int64), minlength=len(varied.outcomes))
@@ -185,7 +185,7 @@ def goodness_of_fit(varied: Varied, draws: NDArray[np.float64]) -> float | None:
 
 def _cell_edges(varied: VariedNumber, count: int) -> NDArray[np.float64]:
     """Edges halfway between integers, of cells that are about equally probable."""
-    cells = min(_MOST_CELLS, max(2, int(count / (2 * _LEAST_EXPECTED))))
+    cells = min(_MAX_CELLS, max(2, int(count / (2 * _MIN_EXPECTED))))
     quantiles = varied.distribution.quantiles(np.arange(1, cells) / cells)
     numbers = np.exp(quantiles) if varied.logarithmic else quantiles
     return np.unique(np.floor(numbers) + 0.5)
@@ -202,8 +202,8 @@ def _chi_squared(counts: NDArray[np.int64], probabilities: NDArray[np.float64]) 
     order = np.argsort(expected)
     expected, counts = expected[order], counts[possible][order]
     # Pool the rarest cells into one that is expected to hold enough draws.
-    pooled = int(np.searchsorted(expected, _LEAST_EXPECTED))
-    while 0 < pooled < len(expected) and expected[:pooled].sum() < _LEAST_EXPECTED:
+    pooled = int(np.searchsorted(expected, _MIN_EXPECTED))
+    while 0 < pooled < len(expected) and expected[:pooled].sum() < _MIN_EXPECTED:
         pooled += 1
     if pooled:
         expected = np.concatenate(([expected[:pooled].sum()], expected[pooled:]))

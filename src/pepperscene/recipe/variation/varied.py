@@ -22,7 +22,7 @@ from pepperscene.recipe.plan import FrameSpec, Stream
 
 Level = Literal["set", "scene", "frame"]
 LEVELS: Final[tuple[Level, ...]] = ("set", "scene", "frame")
-MOST_CHECKED: Final = 128
+MAX_CHECKED: Final = 128
 """Chosen: of more different values of a list, the limits and this number of others are checked together with
 the rest of a recipe, which takes a millisecond each."""
 
@@ -58,11 +58,11 @@ def _positions(values: Sequence[Any]) -> dict[Any, int]:
 def _limits_and_some(values: tuple[Any, ...]) -> tuple[Any, ...]:
     """All different values; of many that are no names, the least, the greatest, and some between them."""
     distinct = distinct_values(values)
-    if len(distinct) <= MOST_CHECKED or any(isinstance(value, str) for value in distinct):
+    if len(distinct) <= MAX_CHECKED or any(isinstance(value, str) for value in distinct):
         return tuple(distinct)
     with suppress(TypeError):
         distinct.sort()
-    return tuple(distinct[i] for i in np.linspace(0, len(distinct) - 1, MOST_CHECKED).astype(int))
+    return tuple(distinct[i] for i in np.linspace(0, len(distinct) - 1, MAX_CHECKED).astype(int))
 
 
 @dataclass(frozen=True)
@@ -261,8 +261,8 @@ class VariedInTurn(Varied):
 
     def describe(self) -> str:
         """The values in their order, for users; of many, the first ones and their number."""
-        text = f"in turn {', '.join(map(str, self.values[:MOST_CHECKED]))}"
-        return text if len(self.values) <= MOST_CHECKED else f"{text}, ... ({len(self.values):,} values)"
+        text = f"in turn {', '.join(map(str, self.values[:MAX_CHECKED]))}"
+        return text if len(self.values) <= MAX_CHECKED else f"{text}, ... ({len(self.values):,} values)"
 
     def identity(self) -> dict[str, Any]:
         """All that drawn values depend on, ready for JSON."""

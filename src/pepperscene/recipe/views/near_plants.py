@@ -23,7 +23,7 @@ NEAR_M: Final = 1.0
 one by about ten pixels there."""
 _STEP_M: Final = 0.02  # chosen: places of a moving camera are at most this far apart
 _STEP_RAD: Final = 0.02  # chosen: and its directions, which at `NEAR_M` moves the image as far
-_MOST_STEPS: Final = 1000  # chosen: of one exposure; a line scanner sweeps 20 m
+_MAX_STEPS: Final = 1000  # chosen: of one exposure; a line scanner sweeps 20 m
 _ROUNDING_M: Final = 1e-5  # of triangles and poses in single precision
 
 
@@ -69,7 +69,7 @@ def _poses_of_exposure(camera: Camera) -> tuple[FloatArray, float]:
     duration_s = camera.exposure_s + camera.height * camera.sensor.line_time_s
     length_m = float(np.linalg.norm(camera.motion.velocity_m_s)) * duration_s
     angle_rad = camera.motion.angular_speed_rad_s * duration_s
-    steps = min(int(np.ceil(max(length_m / _STEP_M, angle_rad / _STEP_RAD, 1.0))), _MOST_STEPS)
+    steps = min(int(np.ceil(max(length_m / _STEP_M, angle_rad / _STEP_RAD, 1.0))), _MAX_STEPS)
     times = np.linspace(-0.5 * duration_s, 0.5 * duration_s, steps + 1)
     return camera.motion.pose_at(camera.pose, times), 0.5 * max(length_m, angle_rad) / steps
 

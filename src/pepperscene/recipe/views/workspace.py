@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.checks import MOST_POSES, as_points, as_positions
+from pepperscene.camera.poses.checks import MAX_POSES, as_points, as_positions
 from pepperscene.camera.poses.generators import look_at
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import Mesh
@@ -192,8 +192,8 @@ def random_poses(reach: ReachTest, targets: ArrayLike, count: int, rng: np.rando
     Raises:
         ArgumentError: an argument is not allowed, or the reachable part of the workspace is too small.
     """
-    if not 1 <= count <= MOST_POSES:
-        raise ArgumentError("random", f"must be from 1 to {MOST_POSES:,}, not {count}")
+    if not 1 <= count <= MAX_POSES:
+        raise ArgumentError("random", f"must be from 1 to {MAX_POSES:,}, not {count}")
     low, high = reach.workspace.bounds_m
     found: list[FloatArray] = []
     missing, tries = count, _TRIES * count
@@ -224,8 +224,8 @@ def lattice_poses(reach: ReachTest, targets: ArrayLike, spacing_m: float) -> Flo
         raise ArgumentError("spacing", f"must be a finite distance above 0, not {spacing_m:g} m")
     low, high = reach.workspace.bounds_m
     steps = np.floor((high - low) / spacing_m + _ROUNDING)
-    if np.prod(steps + 1.0) > MOST_POSES:
-        raise ArgumentError("spacing", f"of {spacing_m:g} m gives more than {MOST_POSES:,} positions")
+    if np.prod(steps + 1.0) > MAX_POSES:
+        raise ArgumentError("spacing", f"of {spacing_m:g} m gives more than {MAX_POSES:,} positions")
     axes = [
         0.5 * (a + b) + spacing_m * (np.arange(n + 1) - 0.5 * n)
         for a, b, n in zip(low, high, steps, strict=True)

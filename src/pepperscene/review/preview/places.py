@@ -135,16 +135,16 @@ def check_can_write_poses(renderer: FrameRenderer, indices: Sequence[int], *, gr
         ArgumentError: the views depend on plants that must not be grown, or the frames are too many for a
             file.
     """
-    from pepperscene.camera.poses.checks import MOST_POSES
+    from pepperscene.camera.poses.checks import MAX_POSES
 
     if renderer.views.depends_on_scene and not grown:
         kind = renderer.recipe.views.kind
         raise ArgumentError(
             "poses", f"views of the kind {kind} depend on the plants, which are grown only for a probe"
         )
-    if len(indices) > MOST_POSES:
+    if len(indices) > MAX_POSES:
         raise ArgumentError(
-            "poses", f"{len(indices):,} frames are selected, and a file has at most {MOST_POSES:,}"
+            "poses", f"{len(indices):,} frames are selected, and a file has at most {MAX_POSES:,}"
         )
 
 
