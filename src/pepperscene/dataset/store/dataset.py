@@ -266,10 +266,10 @@ class Dataset:
         """
         metadata = {str(key): value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
         try:
-            names, bands = {output: file_name(index, output) for output in images}, recorded_bands(metadata)
+            bands = recorded_bands(metadata)
             entries = {
-                output: pool.submit(written_image, self.folder / name, images[output], output, name, bands)
-                for output, name in names.items()
+                output: pool.submit(self._write_image, index, output, image, bands)
+                for output, image in images.items()
             }
             # Wait for all before the first error is raised, so that no image is written after the removal.
             wait(entries.values())
@@ -280,6 +280,12 @@ class Dataset:
         except BaseException:
             self._remove_unnamed(index, images)
             raise
+
+    def _write_image(self, index: int, output: str, image: Any, bands: Sequence[Band]) -> dict[str, Any]:
+        """Write an image; returns its entry in the frame's JSON."""
+        content = encode_image(image, output, bands)
+        write_file(self.path(index, output), content)
+        return file_entry(file_name(index, output), content)
 
     def _write_frame(
         self, index: int, written: Mapping[str, Any], metadata: Mapping[str, Any], existing: FrameStatus
@@ -311,15 +317,6 @@ def _matches_entry(path: Path, entry: Mapping[str, Any], kind: FileKind, folder:
         return bool(is_as_long and digest(path, kind, within=folder) == entry["sha256"])
     except (InputError, OSError, KeyError, TypeError):
         return False
-
-
-def written_image(
-    path: Path, image: Any, output: str, name: str, bands: Sequence[Band] = ()
-) -> dict[str, Any]:
-    """Write an image of an output atomically; returns its entry, under this name, in the frame's JSON."""
-    content = encode_image(image, output, bands)
-    write_file(path, content)
-    return file_entry(name, content)
 
 
 def open_dataset(folder: str | Path) -> Dataset:
