@@ -25,7 +25,7 @@ _BLOCK_PX: Final = 32
 """Chosen: side of the blocks whose spread gives the standard error; errors of denoised images are correlated
 over some ten pixels."""
 
-_LEAST_BLOCKS: Final = 4
+_MIN_BLOCKS: Final = 4
 """Chosen: number of blocks along each side of a small image, at least."""
 
 _SMOOTHING_PX: Final = 1.0
@@ -129,7 +129,7 @@ def measure_errors(images: Iterable[NDArray[np.floating]], reference: Reference)
 def _squared_error(products: NDArray[np.float64]) -> SquaredError:
     """Mean and standard error of `(h, w)` products; the latter from whole square blocks."""
     height, width = products.shape
-    side = max(min(_BLOCK_PX, height // _LEAST_BLOCKS, width // _LEAST_BLOCKS), 1)
+    side = max(min(_BLOCK_PX, height // _MIN_BLOCKS, width // _MIN_BLOCKS), 1)
     rows, columns = height // side, width // side
     blocks = products[: rows * side, : columns * side].reshape(rows, side, columns, side).mean(axis=(1, 3))
     # A single block says nothing about its spread.

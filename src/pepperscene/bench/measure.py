@@ -91,12 +91,21 @@ def measure_settings(
     on_progress(f"{subject.name}: round 1 of {runs} done")
     for round_ in range(1, runs):
         measurement.drop_slowest()
-        if not measurement.active:
+        if not any(one.is_active for one in measurement.measured):
             on_progress(f"{subject.name}: no time for more than {round_} of {runs} rounds")
             break
         measurement.round(round_)
         on_progress(f"{subject.name}: round {round_ + 1} of {runs} done")
-    return [replace(result, seconds=tuple(times)) for _, result, times in measurement.by_number()]
+    return [replace(one.result, seconds=tuple(one.times)) for one in measurement.measured]
+
+
+@dataclass(eq=False)
+class _MeasuredSetting:
+    number: int
+    setting: Setting
+    result: BenchResult  # of the first frame
+    times: list[float] = field(default_factory=list)  # of the other frames
+    is_active: bool = True  # whether further rounds include it
 
 
 class _Measurement:
@@ -107,19 +116,14 @@ class _Measurement:
     ) -> None:
         self.subject, self.reference = subject, reference
         self.end_s, self.on_progress = end_s, on_progress
-        # By the number of the setting: its first frame and the times of the others.
-        self.measured: dict[int, tuple[Setting, BenchResult, list[float]]] = {}
-        self.active: set[int] = set()
-
-    def by_number(self) -> list[tuple[Setting, BenchResult, list[float]]]:
-        return [self.measured[number] for number in sorted(self.measured)]
+        self.measured: list[_MeasuredSetting] = []  # by number
 
     def first_frames(self, settings: Iterable[tuple[int, Setting]]) -> list[tuple[int, Setting]]:
         """Render the frames whose errors are measured; returns the settings that seem to be late."""
         late = []
         for number, setting in settings:
             # One timed frame of this setting and of those that have none yet must follow.
-            round_s = sum(result.first_s for _, result, times in self.measured.values() if not times)
+            round_s = sum(one.result.first_s for one in self.measured if not one.times)
             needed_s = round_s + 2.0 * self._expected_seconds(setting)
             if setting.family != NAMED and perf_counter() + needed_s > self.end_s:
                 late.append((number, setting))
@@ -139,45 +143,42 @@ class _Measurement:
                 str(frame.metadata.get("variant", "")),
             )
             self.on_progress(f"{self.subject.name}: {result.label}: first frame {first_s:.2f} s")
-            self.measured[number] = (setting, result, [])
-            self.active.add(number)
+            self.measured.append(_MeasuredSetting(number, setting, result))
             # A 4k image has 100 MB.
             del frame
+        self.measured.sort(key=lambda one: one.number)
         return late
 
     def _expected_seconds(self, setting: Setting) -> float:
         """Least time of a setting's frame by the measured ones of the same method; 0 if there are none."""
         expected = [
-            ratio * min([result.first_s, *times])
-            for other, result, times in self.measured.values()
-            if (ratio := setting.relative_samples(other)) is not None
+            ratio * min([one.result.first_s, *one.times])
+            for one in self.measured
+            if (ratio := setting.relative_samples(one.setting)) is not None
         ]
         return min(expected, default=0.0)
 
     def drop_slowest(self) -> None:
         """Leave the slowest settings out of the following rounds until the next one ends in time."""
-        last_s = {number: self.measured[number][2][-1] for number in self.active}
-        for number in sorted(last_s, key=lambda number: -last_s[number]):
-            if perf_counter() + sum(last_s[kept] for kept in self.active) <= self.end_s:
-                break
-            self.active.remove(number)
-            _, result, times = self.measured[number]
-            self.on_progress(f"{self.subject.name}: {result.label}: no time after {len(times)} rounds")
+        active = sorted((one for one in self.measured if one.is_active), key=lambda one: one.times[-1])
+        while active and perf_counter() + sum(one.times[-1] for one in active) > self.end_s:
+            slowest = active.pop()
+            slowest.is_active = False
+            rounds = len(slowest.times)
+            self.on_progress(f"{self.subject.name}: {slowest.result.label}: no time after {rounds} rounds")
 
     def round(self, number_of_round: int) -> None:
         """Render a frame of each active setting that has not had this round."""
         path = self.subject.path
-        for number in sorted(self.active):
-            setting, _, times = self.measured[number]
-            if len(times) > number_of_round:
+        for one in self.measured:
+            if not one.is_active or len(one.times) > number_of_round:
                 continue
-            camera, seed = path[(number_of_round + number) % len(path)], 1000 * (number_of_round + 1) + number
+            # Settings and views are shifted against each other from round to round.
+            camera = path[(number_of_round + one.number) % len(path)]
+            seed = 1000 * (number_of_round + 1) + one.number
             before = perf_counter()
-            self.subject.render(setting.quality, seed, camera, full=setting.full_scene)
-            times.append(perf_counter() - before)
-
-
-# --- other variants of Mitsuba ------------------------------------------------------------------------------
+            self.subject.render(one.setting.quality, seed, camera, full=one.setting.full_scene)
+            one.times.append(perf_counter() - before)
 
 
 def other_variants() -> tuple[str, ...]:

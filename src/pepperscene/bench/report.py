@@ -20,11 +20,10 @@ CODES_OF_INTEREST: Final = 1.0
 """Error in codes at which every scene is compared, besides those of the named qualities: it is invisible, and
 the standard quality is to reach it."""
 
-_MOST_DECIMALS: Final = 3
+_MAX_DECIMALS: Final = 3
 """Chosen: of printed errors."""
 
-
-# --- equal error --------------------------------------------------------------------------------------------
+_UNKNOWN: Final = "–"
 
 
 def pareto_front(points: Iterable[Point]) -> list[Point]:
@@ -104,45 +103,30 @@ def time_ratios(results: Sequence[BenchResult], others: Mapping[str, str] | None
     return ratios
 
 
-@dataclass(frozen=True)
-class RelativeTime:
-    """Time of one method relative to that of another."""
-
-    ratio: float
-    is_bound: bool = False  # whether the true ratio is larger
-
-    def __str__(self) -> str:
-        number = f"{self.ratio:.2g}" if self.ratio < 99.5 else f"{self.ratio:.0f}"
-        return f"{'> ' if self.is_bound else ''}{number} ×"
-
-
-def relative_path_time(result: BenchResult, results: Iterable[BenchResult]) -> RelativeTime | None:
-    """Time of the path tracer at a result's error relative to the result's.
+def relative_path_time(result: BenchResult, results: Iterable[BenchResult]) -> str:
+    """Time of the path tracer at a result's error relative to the result's: "36 ×", or "> 32 ×" for a bound.
 
     If all measured errors of the path tracer are larger, it is a lower bound, from its most accurate
-    setting.
-    None if the result has no measurable error, if the path tracer's are smaller, or for a bound below 1,
-    which says nothing.
+    setting. "–" if the result has no measurable error, if the path tracer's are smaller, or for a bound
+    below 1, which says nothing.
     """
     error = result.errors.codes.root
     points = _points(other for other in results if other.family == PLAIN and other.scene == result.scene)
     if error is None or not points:
-        return None
+        return _UNKNOWN
     slowest_s, least_error = points[-1]
-    if error < least_error:
-        bound = slowest_s / result.median_s
-        return RelativeTime(bound, is_bound=True) if bound > 1.0 else None
-    seconds = time_at_error(error, points)
-    return None if seconds is None else RelativeTime(seconds / result.median_s)
+    is_bound = error < least_error
+    seconds = slowest_s if is_bound else time_at_error(error, points)
+    if seconds is None or (is_bound and seconds <= result.median_s):
+        return _UNKNOWN
+    ratio = seconds / result.median_s
+    return f"{'> ' if is_bound else ''}{f'{ratio:.2g}' if ratio < 99.5 else f'{ratio:.0f}'} ×"
 
 
 def _points(results: Iterable[BenchResult]) -> list[Point]:
     """The Pareto front of the measurable results."""
     points = [(result.median_s, result.errors.codes.root) for result in results]
     return pareto_front((seconds, error) for seconds, error in points if error is not None)
-
-
-# --- tables -------------------------------------------------------------------------------------------------
 
 
 def markdown_table(headers: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
@@ -158,18 +142,16 @@ def result_table(results: Sequence[BenchResult]) -> str:
         "scene", "setting", "error, codes", "median time", "min", "max", "runs",
         "path tracer's time at this error",
     )  # fmt: skip
-    rows = []
-    for result in results:
-        ratio = relative_path_time(result, results)
-        rows.append(
-            (
-                result.scene,
-                result.label,
-                format_error(result.errors.codes),
-                *_time_cells(result.seconds),
-                "–" if ratio is None or result.family == PLAIN else str(ratio),
-            )
+    rows = [
+        (
+            result.scene,
+            result.label,
+            format_error(result.errors.codes),
+            *_time_cells(result.seconds),
+            _UNKNOWN if result.family == PLAIN else relative_path_time(result, results),
         )
+        for result in results
+    ]
     return markdown_table(headers, rows, left=2)
 
 
@@ -185,13 +167,13 @@ def format_error(error: SquaredError) -> str:
             return f"< {limit:g}"
         decimals = _decimals(limit)
         return f"< {_round_up(limit, decimals):.{decimals}f}"
-    decimals = _decimals(uncertainty) if uncertainty > 0.0 else _MOST_DECIMALS
+    decimals = _decimals(uncertainty) if uncertainty > 0.0 else _MAX_DECIMALS
     return f"{root:.{decimals}f} ± {_round_up(uncertainty, decimals):.{decimals}f}"
 
 
 def _decimals(value: float) -> int:
     """Decimals that show one digit of a value above 0."""
-    return min(max(-math.floor(math.log10(value)), 0), _MOST_DECIMALS)
+    return min(max(-math.floor(math.log10(value)), 0), _MAX_DECIMALS)
 
 
 def _round_up(value: float, decimals: int) -> float:

@@ -74,7 +74,7 @@ def write_colmap(job: ExportJob, folder: Path) -> None:
     reads them; seed points are from frames of the split `train`.
     """
     for place, indices, frames in open_groups(job, folder, scene_groups(job)):
-        seeds = seed_points(training_frames(job, indices), SEED_POINTS, leave_ignored=job.has_ignored_pixels)
+        seeds = seed_points(training_frames(job, indices), SEED_POINTS, skip_ignored=job.has_ignored_pixels)
         _write_scene(job, place, seeds, frames)
         _write_splits(place, scene_splits(job, indices))
 

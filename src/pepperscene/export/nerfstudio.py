@@ -40,7 +40,7 @@ def write_nerfstudio(job: ExportJob, folder: Path) -> None:
     images, `train_filenames` and so on; seed points are from frames of the split `train`.
     """
     for place, indices, frames in open_groups(job, folder, scene_groups(job)):
-        points = seed_points(training_frames(job, indices), SEED_POINTS, leave_ignored=job.has_ignored_pixels)
+        points = seed_points(training_frames(job, indices), SEED_POINTS, skip_ignored=job.has_ignored_pixels)
         (place / _POINT_FILE).write_bytes(point_file(points.position, points.colour))
         content = _transforms(job, indices, _write_frames(job, place, frames))
         write_json(place / "transforms.json", content)

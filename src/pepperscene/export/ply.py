@@ -43,23 +43,23 @@ def _point_cloud(frame: DatasetFrame) -> bytes:
     surface = read_surface(frame, allows_line_scan=True)
     colour, labels = read_colour(frame, surface), {name: read_label(frame, name, surface) for name in _LABELS}
     rows, columns = np.nonzero(np.isfinite(surface.distance))
-    further = {name: image[rows, columns] for name, image in labels.items()}
-    return point_file(surface.points(rows, columns), colour[rows, columns], **further)
+    extra = {name: image[rows, columns] for name, image in labels.items()}
+    return point_file(surface.points(rows, columns), colour[rows, columns], **extra)
 
 
 def point_file(
-    position: NDArray[np.floating[Any]], colour: NDArray[np.uint8], **further: NDArray[Any]
+    position: NDArray[np.floating[Any]], colour: NDArray[np.uint8], **extra: NDArray[Any]
 ) -> bytes:
     """A binary PLY file of points.
 
     Args:
         position: `(n, 3)` metres, stored in single precision.
         colour: `(n, 3)` uint8.
-        further: more properties by name, each `(n,)` of uint8 or uint16.
+        extra: more properties by name, each `(n,)` of uint8 or uint16.
     """
     columns = dict(zip("xyz", np.asarray(position, "<f4").T, strict=True))
     columns |= dict(zip(_COLOURS, colour.T, strict=True))
-    columns |= {name: values.astype(values.dtype.newbyteorder("<")) for name, values in further.items()}
+    columns |= {name: values.astype(values.dtype.newbyteorder("<")) for name, values in extra.items()}
     names = {"f": "float", "u1": "uchar", "u2": "ushort"}
     properties = [
         f"property {names.get(values.dtype.str[1:], names.get(values.dtype.kind))} {name}"

@@ -18,7 +18,7 @@ from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.export.job import ExportJob, open_groups, sequence_groups
-from pepperscene.export.surface import MILLIMETRES, MOST_MM, read_colour, read_label, read_surface
+from pepperscene.export.surface import MILLIMETRES, MAX_MM, read_colour, read_label, read_surface
 from pepperscene.libraries import import_library
 
 TIMELINE: Final = "frame"
@@ -79,7 +79,7 @@ def _log_frame(rerun: Any, recording: Any, frame: DatasetFrame, selection: Selec
         colour = png_bytes(pinhole.resample_colour(read_colour(frame, surface)))
     recording.log(f"{_IMAGE}/colour", rerun.EncodedImage(contents=colour, media_type="image/png"))
     depth_mm = pinhole.resample(np.rint(MILLIMETRES * surface.depth_z), 0.0)
-    depth = np.where(depth_mm <= MOST_MM, depth_mm, 0.0).astype(np.uint16)
+    depth = np.where(depth_mm <= MAX_MM, depth_mm, 0.0).astype(np.uint16)
     recording.log(f"{_IMAGE}/depth", rerun.DepthImage(depth, meter=MILLIMETRES))
     classes = pinhole.resample(read_label(frame, "class", surface), np.uint8(0))
     recording.log(f"{_IMAGE}/classes", rerun.SegmentationImage(classes))

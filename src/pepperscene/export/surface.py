@@ -22,7 +22,7 @@ SEED_POINTS: Final = 20_000
 """Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
 
 MILLIMETRES: Final = 1000.0  # per metre
-MOST_MM: Final = 65_535  # of a 16-bit image
+MAX_MM: Final = 65_535  # of a 16-bit image
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class RangeImage:
 def depth_png(depth_m: NDArray[np.floating[Any]]) -> bytes:
     """A PNG of 16 bits: depths in millimetres, 0 for none, nan and those beyond 65.535 m."""
     depth_mm = np.rint(MILLIMETRES * depth_m)
-    return png_bytes(np.where(depth_mm <= MOST_MM, depth_mm, 0).astype(np.uint16))
+    return png_bytes(np.where(depth_mm <= MAX_MM, depth_mm, 0).astype(np.uint16))
 
 
 def recorded_camera(frame: DatasetFrame, *, allows_line_scan: bool = False) -> Camera:
@@ -161,19 +161,19 @@ class SeedPoints:
     colour: NDArray[np.uint8]
 
 
-def seed_points(frames: Sequence[DatasetFrame], count: int, *, leave_ignored: bool) -> SeedPoints:
+def seed_points(frames: Sequence[DatasetFrame], count: int, *, skip_ignored: bool) -> SeedPoints:
     """Pixels with a surface, drawn evenly from the frames of a scene; the same for the same frames.
 
     Args:
         frames: of the scene.
         count: of the points; fewer if there are fewer pixels.
-        leave_ignored: whether frames can have ignored pixels, which have no points then.
+        skip_ignored: whether frames can have ignored pixels, which have no points then.
     """
     positions, colours = [np.empty((0, 3))], [np.empty((0, 3), np.uint8)]
     for number, frame in enumerate(frames):
         surface = read_surface(frame)
         is_candidate = np.isfinite(surface.distance)
-        if leave_ignored:
+        if skip_ignored:
             is_candidate &= valid_pixels(frame, surface)
         candidates = np.flatnonzero(is_candidate)
         share = count * (number + 1) // len(frames) - count * number // len(frames)

@@ -276,12 +276,12 @@ class Moments:
     def relatives(self, position: int) -> list[tuple[int, str]]:
         """Index and description of the other frames of a frame's moment, the nearest first."""
         plan = self._plan
-        own = plan.frame(self._indices[position])
+        shown = plan.frame(self._indices[position])
         found = []
-        for other in self._positions[own.moment]:
+        for other in self._positions[shown.moment]:
             spec = plan.frame(self._indices[other])
-            parts = [f"twin {spec.twin}"] if spec.twin != own.twin else []
-            parts += [self._cameras[spec.camera]] if spec.camera != own.camera else []
+            parts = [f"twin {spec.twin}"] if spec.twin != shown.twin else []
+            parts += [self._cameras[spec.camera]] if spec.camera != shown.camera else []
             if parts:
                 found.append((len(parts), spec.index, ", ".join(parts)))
         return [(number, text) for _, number, text in sorted(found)]

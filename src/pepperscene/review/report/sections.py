@@ -106,13 +106,13 @@ def _class_map(
     return Picture("map", png_data_uri(image, _MAP_PX), alt, image.shape[1], image.shape[0]), maximum
 
 
-def hue_spectra(sets: Sequence[SetSummary]) -> list[tuple[OrganClass, str, list[Any], float | None]]:
+def hue_spectra(sets: Sequence[SetSummary]) -> list[tuple[OrganClass, Any, list[Any], float | None]]:
     """Distribution of the hues of each class's pixels, in the centre of the images (Fig. 12).
 
     By class: a chart, a table of mean hues, and the correlation of two sets.
     """
     spectra = {item.key: item.statistics.hue_spectra() for item in sets}
-    panels = []
+    panels: list[tuple[OrganClass, Any, list[Any], float | None]] = []
     for organ in OrganClass:
         known = [item for item in sets if np.isfinite(spectra[item.key][organ]).all()]
         if not known:

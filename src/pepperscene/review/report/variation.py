@@ -16,8 +16,8 @@ from pepperscene.review.report.data import DrawnRecords, SetSummary
 
 VARIATION_HEADS: Final = ("Value", "per", "distribution", "draws", "minimum", "median", "maximum", "p")
 _BINS: Final = 24  # chosen: as of the other charts
-_FEWEST_BINS: Final = 4  # chosen: fewer show no shape
-_MOST_BARS: Final = 20  # chosen: outcomes in a panel
+_MIN_BINS: Final = 4  # chosen: fewer show no shape
+_MAX_BARS: Final = 20  # chosen: outcomes in a panel
 _MARGIN: Final = 0.01  # chosen: half the width of a constant's bin, over the constant
 _UNKNOWN: Final = "–"
 
@@ -32,7 +32,8 @@ def variation_tables(sets: Sequence[SetSummary]) -> list[dict[str, Any]]:
 
 
 def _set_tables(item: SetSummary, drawn: DrawnRecords) -> dict[str, Any]:
-    rows, panels = [], []
+    rows: list[tuple[str, list[str]]] = []
+    panels: list[dict[str, Any]] = []
     for number, varied in enumerate(drawn.variation):
         draws = distinct_draws(varied, drawn.plan, drawn.indices, drawn.numbers[varied.name])
         rows.append((varied.name, _cells(varied, draws)))
@@ -91,7 +92,7 @@ def _bin_edges(varied: VariedNumber, draws: NDArray[np.float64]) -> NDArray[np.f
         margin = _MARGIN * abs(low) or _MARGIN
         return np.array([low - margin, low + margin])
     # Few draws need wide bins; bins of integers are whole numbers wide.
-    count = int(np.clip(np.sqrt(len(draws)), _FEWEST_BINS, _BINS))
+    count = int(np.clip(np.sqrt(len(draws)), _MIN_BINS, _BINS))
     if varied.logarithmic:
         return np.geomspace(low, high, count + 1)
     edges = np.linspace(low, high, count + 1)
@@ -108,7 +109,7 @@ def _bars(varied: Varied, draws: NDArray[np.float64]) -> dict[str, Any]:
     drawn = np.bincount(draws.astype(np.int64), minlength=len(outcomes)) / len(draws)
     pairs = zip(drawn.tolist(), expected.tolist(), strict=True)
     return {
-        "bars": list(zip(map(str, outcomes), pairs, strict=True))[:_MOST_BARS],
+        "bars": list(zip(map(str, outcomes), pairs, strict=True))[:_MAX_BARS],
         "scale": float(max(drawn.max(), expected.max())),
-        "more": max(len(outcomes) - _MOST_BARS, 0),
+        "more": max(len(outcomes) - _MAX_BARS, 0),
     }
