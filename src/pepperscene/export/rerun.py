@@ -18,7 +18,7 @@ from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.export.job import ExportJob, open_groups, sequence_groups
-from pepperscene.export.surface import MILLIMETRES, MAX_MM, read_colour, read_label, read_surface
+from pepperscene.export.surface import MAX_MM, MILLIMETRES, read_colour, read_label, read_surface
 from pepperscene.libraries import import_library
 
 TIMELINE: Final = "frame"

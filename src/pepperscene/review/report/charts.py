@@ -18,7 +18,7 @@ _LINE_CHART: Final = (196, 26)  # height and upper margin
 _DOT_CHART: Final = (92, 0)
 
 _BINS: Final = 24
-_MAX_DOTS: Final = 40
+_MIN_VALUES: Final = 40
 """Chosen: fewer values than this are drawn as dots, since most bins of a histogram would be empty."""
 
 _COLOURS: Final = {"a": "#a0000a", "b": "#a0000b", "faint": "#a0000c", "line": "#a0000d"}
@@ -104,7 +104,7 @@ def value_chart(
     """
     together = np.concatenate([numbers for _, _, numbers in values])
     ticks = _round_ticks(*_padded_range(float(together.min()), float(together.max())))
-    if len(together) >= _MAX_DOTS:
+    if len(together) >= _MIN_VALUES:
         edges = np.linspace(ticks[0], ticks[-1], _BINS + 1)
         series = [
             (key, name, 100.0 * np.histogram(numbers, edges)[0] / len(numbers))
