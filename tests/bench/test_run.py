@@ -19,7 +19,7 @@ from pepperscene.bench.settings import ADAPTIVE, NAMED, settings
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import develop, expected_electrons
 from pepperscene.cli import app
-from pepperscene.cli.machine import bench
+from pepperscene.cli.machine import BenchCost
 from pepperscene.errors import InputError
 
 FILES = {"results.json", "results.csv", "results.md", "pareto.png", "pareto.svg"}
@@ -200,10 +200,9 @@ def test_invalid_options_give_one_line_and_exit_code_2(tmp_path, monkeypatch, ar
 
 
 def test_defaults_of_the_command_are_those_of_the_function():
-    command = inspect.signature(inspect.unwrap(bench)).parameters
-    function = inspect.signature(run_benchmark).parameters
-    assert command["budget"].default == function["budget_s"].default == 900.0
-    assert command["runs"].default == function["runs"].default
+    command, function = BenchCost(), inspect.signature(run_benchmark).parameters
+    assert command.budget == function["budget_s"].default == 900.0
+    assert command.runs == function["runs"].default
 
 
 def test_names_and_sizes_are_parsed():
