@@ -88,9 +88,9 @@ def test_worker_that_is_killed(make, recipe, assert_complete, tmp_path):
         """Kill the process of a worker that has rendered a frame; its nanny starts another one."""
         try:
             nannies = cluster.workers.values()
-            running = wait_for(lambda: {one.pid for one in nannies} & dict(rendered(log)).keys(), 300.0)
+            running = wait_for(lambda: {one.pid for one in nannies} & dict(rendered(log)).keys())
             os.kill(min(running), signal.SIGKILL)
-            wait_for(lambda: min(running) not in {one.pid for one in nannies}, 300.0)
+            wait_for(lambda: min(running) not in {one.pid for one in nannies})
             complete = {seeds[index] for index in open_dataset(tmp_path / "set").indices()}
             at_kill.append((complete, len(rendered(log))))
         finally:

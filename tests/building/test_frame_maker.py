@@ -17,7 +17,6 @@ from pepperscene.errors import InputError, OutputError
 from pepperscene.frame import Frame
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
-STORE = sys.modules["pepperscene.dataset.store.dataset"]
 ATOMIC = sys.modules["pepperscene.atomic"]
 OUTPUTS = ("class", "distance")
 
@@ -29,20 +28,19 @@ def job(recipe, fake_renderer, tmp_path):
 
 @pytest.fixture
 def fill_disk(monkeypatch):
-    """Makes the disk full after a number of images."""
+    """Makes the disk full after a number of files."""
 
     def install(count):
-        write, written = STORE.write_file, []
+        write, written = ATOMIC._write_new, []
 
-        def write_or_fail(path, *content):
+        def write_or_fail(path, content):
             written.append(path)
             if len(written) > count:
-                with ATOMIC.atomic_write(path) as temporary:
-                    temporary.write_bytes(b"half")
-                    raise OSError(28, "No space left on device", str(path))
-            write(path, *content)
+                write(path, b"half")
+                raise OSError(28, "No space left on device", str(path))
+            write(path, content)
 
-        monkeypatch.setattr(STORE, "write_file", write_or_fail)
+        monkeypatch.setattr(ATOMIC, "_write_new", write_or_fail)
 
     return install
 
@@ -56,7 +54,7 @@ def assert_intact(folder, expected):
 
 @pytest.mark.parametrize("eager", [False, True])
 def test_next_frame_is_rendered_while_one_is_written(job, fake_renderer, monkeypatch, eager):
-    write, is_writing, go = STORE.write_file, threading.Event(), threading.Event()
+    write, is_writing, go = ATOMIC._write_new, threading.Event(), threading.Event()
     events, written = [], []
 
     class NotingRenderer(fake_renderer):
@@ -69,24 +67,25 @@ def test_next_frame_is_rendered_while_one_is_written(job, fake_renderer, monkeyp
                 go.set()
             return super().render(*args, **kwargs)
 
-    def write_later(path, *content):
+    def write_later(path, content):
         written.append(path.name)
         is_writing.set()
         assert go.wait(60)
-        write(path, *content)
+        write(path, content)
 
     def on_frame(done):
         in_caller = threading.current_thread() is threading.main_thread()
         events.append(("report", done.index, in_caller, len(list(job.folder.glob("frames/*.json")))))
 
-    monkeypatch.setattr(STORE, "write_file", write_later)
+    monkeypatch.setattr(ATOMIC, "_write_new", write_later)
     with FrameMaker(replace(job, renderer=NotingRenderer), eager=eager) as maker:
         maker.make([0, 1, 2], on_frame)
     reports = [event for event in events if event[0] == "report"]
     # Every frame is complete when it is reported, and the one after the next waits for that.
     assert reports == [("report", index, not eager, index + 1) for index in range(3)]
     assert events.index(reports[0]) < events.index("render 2")
-    assert len(written) == 6
+    # dataset.json, and two images and the JSON of three frames.
+    assert len(written) == 10
 
 
 def test_frame_that_is_complete_is_kept_when_the_caller_fails(job):
@@ -107,7 +106,8 @@ def test_frame_that_is_complete_is_kept_when_the_caller_fails(job):
 def test_full_disk_leaves_only_complete_frames(build_small, tmp_path, fill_disk, fail_at):
     build_small(frames="0:1", out="expected")
     reported = []
-    fill_disk(len(OUTPUTS) + fail_at)
+    # dataset.json, and images and JSON of the first frame fit.
+    fill_disk(len(OUTPUTS) + 2 + fail_at)
     with pytest.raises(OutputError, match="No space left"):
         build_small(frames="0:4", on_frame=lambda progress: reported.append(progress.index))
     assert reported == [0]
@@ -131,11 +131,8 @@ def test_failed_rename_of_frame_json_leaves_nothing_of_the_frame(build_small, tm
 
 
 @pytest.mark.skipif(os.name != "posix", reason="files are limited by setrlimit")
-@pytest.mark.parametrize(
-    ("output", "limit", "workers"),
-    [("colour", 100, None), ("distance", 300, None), ("normal", 700, None), ("distance", 300, 1)],
-)
-def test_system_that_refuses_large_files(build_small, tmp_path, output, limit, workers):
+@pytest.mark.parametrize(("output", "limit"), [("colour", 100), ("distance", 300), ("normal", 700)])
+def test_system_that_refuses_large_files(build_small, tmp_path, output, limit):
     import resource
 
     build_small(frames="0:2", outputs=("class",))
@@ -143,7 +140,7 @@ def test_system_that_refuses_large_files(build_small, tmp_path, output, limit, w
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:
         with pytest.raises(OutputError, match="cannot be written") as error:
-            build_small(outputs=("class", output), workers=workers)
+            build_small(outputs=("class", output))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert "\n" not in str(error.value)

@@ -173,6 +173,7 @@ def test_frame_that_ends_every_worker_is_named_and_others_are_kept(
     assert contents(tmp_path / "set") == expected
 
 
+@pytest.mark.long
 def test_workers_killed_from_outside_are_replaced(build_small, expected, tmp_path, monkeypatch):
     monkeypatch.setenv("STAND_IN_S", "0.15")
     monkeypatch.setattr(sys.modules["pepperscene.building.execution.executor"], "MAX_LOSSES", 10)

@@ -210,7 +210,7 @@ def test_sizes_have_a_unit():
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGSEGV"])
+@pytest.mark.parametrize("name", ["SIGKILL", pytest.param("SIGSEGV", marks=pytest.mark.long)])
 def test_a_frame_that_kills_the_only_worker_ends_the_build(build_small, monkeypatch, name):
     monkeypatch.setenv("KILL_SIGNAL", str(getattr(signal, name).value))
     notices = []

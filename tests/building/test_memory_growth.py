@@ -66,6 +66,7 @@ print(json.dumps(sizes))
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not HAS_GLIBC, reason="only glibc reports and returns its memory in this way")
 def test_300_frames_of_10_scenes_need_no_more_memory_than_60_frames_of_2():
     result = subprocess.run(

@@ -178,7 +178,10 @@ def test_views_of_every_kind_show_no_coarse_plant_from_near(kind, files):
     assert len(renderer.scene(renderer.recipe.plan.frame(0), traced=False).skeleton.plants) > 1
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize(
+    "name",
+    [n if n in ("season", "barth2018_robot") else pytest.param(n, marks=pytest.mark.long) for n in RECIPES],
+)
 def test_shipped_recipes_show_no_coarse_plant_from_near(name):
     changes = {key: value for key, value in SMALL.items() if not key.startswith("greenhouse")}
     if name == "barth2018_robot":

@@ -217,6 +217,7 @@ def test_jobs_make_the_same_files(build_small, commands, write_jobs, tmp_path, m
     )
 
 
+@pytest.mark.long
 def test_job_that_ends_is_submitted_again(build_small, commands, write_jobs, monkeypatch):
     monkeypatch.setattr(slurm, "_RENEW_S", 1.0)
     monkeypatch.setenv("STAND_IN_S", "0.1")

@@ -109,7 +109,7 @@ def rendered(log):
     return [tuple(map(int, line.split())) for line in log.read_text().splitlines()] if log.exists() else []
 
 
-def wait_for(condition, timeout_s=30.0):
+def wait_for(condition, timeout_s=300.0):
     """Wait until a condition is true, and return its value."""
     end = time.monotonic() + timeout_s
     while not (result := condition()):

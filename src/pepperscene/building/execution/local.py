@@ -3,7 +3,8 @@
 The pool is not Dask's `LocalCluster`, which was measured (two workers of one core, 40 label frames of
 `barth2018`): it takes 2.6 s to start instead of 0.8 and makes 3.2 frames/s instead of 5.4, needs 80 MiB more
 memory before the first frame and 20 further packages (38 MiB), and fails in scripts without a `__main__`
-guard. Both replace a worker that is killed, and make the same files.
+guard. Both replace a worker that is killed, and make the same files. In loky's pool, a worker that is killed
+ends the tasks of all others.
 """
 
 from __future__ import annotations
