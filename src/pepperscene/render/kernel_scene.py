@@ -70,31 +70,16 @@ class KernelScene:
         response = spectral_response(camera, scene)
         if not needs_long_paths(scene, response, self._surface_triangles):
             quality = dataclasses.replace(quality, most_bounces=0)
-        if parts := exposure_parts(camera, has_daylight=scene.sky is not None):
-            if quality.integrator == "path":
-                return self._expose_paths(camera, quality, sampling, scene)
-            return self._expose(camera, quality, parts, response, sampling, scene)
-        seed = int(sampling.generate_state(1)[0])
-        trace_with = self._trace_paths if quality.integrator == "path" else self._trace_samples
-        return trace_with(camera, quality, response, seed, scene)
+        parts = exposure_parts(camera, has_daylight=scene.sky is not None)
+        if quality.integrator == "flash":
+            return self._trace_samples(camera, quality, parts, response, sampling, scene)
+        if parts:
+            # The mean of images of cameras that stand still.
+            signal, samples = exposed_paths(scene, camera, quality, sampling)
+            return signal, {"samples_per_pixel": samples}
+        return self._trace_paths(camera, quality, response, int(sampling.generate_state(1)[0]), scene)
 
     def _trace_samples(
-        self, camera: Camera, quality: Quality, response: SpectralResponse, seed: int, scene: Scene
-    ) -> TracedSignal:
-        """Trace light with our integrator."""
-        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
-        light = frame_light(
-            self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1])),
-            self.rays(camera),
-            response,
-            camera.flash,
-            sky_tables(scene, response.grid_nm),
-            (quality.bounces, quality.most_bounces),
-            seed,
-        )
-        return trace_in_strips(camera, quality, [LightPart(light)])
-
-    def _expose(
         self,
         camera: Camera,
         quality: Quality,
@@ -103,29 +88,26 @@ class KernelScene:
         sampling: np.random.SeedSequence,
         scene: Scene,
     ) -> TracedSignal:
-        """Trace the parts of an exposure with our integrator, each with samples and a denoiser of its own."""
-        light_scene = self.light_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
-        rays, lights = self.rays(camera), []
+        """Trace light with our integrator: all together, or the parts of an exposure one by one."""
+        grid, lights = response.grid_nm, []
+        light_scene, sky = self.light_scene(float(grid[0]), float(grid[-1])), sky_tables(scene, grid)
         quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
-        for part, stream in zip(parts, sampling.spawn(len(parts)), strict=True):
+        together: list[ExposurePart | None] = [None]
+        streams, still = sampling.spawn(len(parts)) if parts else [sampling], self.rays(camera)
+        for part, stream in zip(parts or together, streams, strict=True):
+            motion = camera.motion or Motion()
+            rays = still if part is None else moving_rays(still, motion, part.windows)
             light = frame_light(
                 light_scene,
-                moving_rays(rays, camera.motion or Motion(), part.windows),
+                rays,
                 response,
-                camera.flash if part.has_flash else None,
-                sky_tables(scene, response.grid_nm) if part.has_daylight else None,
+                camera.flash if part is None or part.has_flash else None,
+                sky if part is None or part.has_daylight else None,
                 (quality.bounces, quality.most_bounces),
                 int(stream.generate_state(1)[0]),
             )
-            lights.append(LightPart(light, part.share))
-        return trace_in_strips(camera, quality, lights, is_divided=True)
-
-    def _expose_paths(
-        self, camera: Camera, quality: Quality, sampling: np.random.SeedSequence, scene: Scene
-    ) -> TracedSignal:
-        """Trace an exposure with Mitsuba's path tracer, as the mean of images of cameras that stand still."""
-        signal, samples = exposed_paths(scene, camera, quality, sampling)
-        return signal, {"samples_per_pixel": samples}
+            lights.append(LightPart(light, None if part is None else part.share))
+        return trace_in_strips(camera, quality, lights, is_divided=bool(parts))
 
     def imager_light(
         self,

@@ -194,6 +194,7 @@ class AdaptiveSampler:
             for _ in range(_BALANCE_STEPS):
                 balanced = remaining * balanced_share(float(wanted.mean()), accumulator.indirect_samples)
                 wanted = self._distribute(direct.ravel(), max(left, balanced))
+        # Never fewer than are taken, and not many more at once: their variance is only estimated.
         taken = accumulator.samples
         limit = np.minimum(taken * _GROWTH, np.maximum(self.max_samples, taken))
         return np.clip(wanted, taken, limit).astype(np.int32)
@@ -206,9 +207,11 @@ class AdaptiveSampler:
         """Estimate the error that remains in the rows."""
         variance, codes = light.variance, self._code_response(light.total, light.variance.white)
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
+        # Direct light has stratified samples; indirect light independent ones, whose noise is partly removed.
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
         factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
         of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
+        # Both in codes of the image, where their mean squares are compared.
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         return SamplingError(
             pixels=error.size,
@@ -233,6 +236,7 @@ class AdaptiveSampler:
         # An odd step does not follow the columns of an image, whose width is even.
         subset = variance[:: variance.size // _SUBSET | 1]
         scale = _variance_scale(subset, allowed, self.max_samples)
+        # n^(5/2) is proportional to the variance; powers of two keep the samples of each pixel a net.
         samples = np.power(np.maximum(scale * variance, 1e-9), 0.4)
         return np.exp2(np.rint(np.log2(np.clip(samples, 1.0, self.max_samples))))
 
@@ -306,6 +310,7 @@ def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float
     # The lower end gives one sample per pixel, the upper end the maximum in every pixel.
     low, high = -80.0, 80.0
     for _ in range(40):
+        # Would the samples that this factor gives leave more than the allowed mean variance?
         middle = 0.5 * (low + high)
         samples = np.clip(np.power(np.exp2(middle) * variance.astype(np.float64), 0.4), 1.0, max_samples)
         is_enough = np.mean(VARIANCE_GAIN * variance * samples**-1.5) <= allowed

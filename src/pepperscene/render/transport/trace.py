@@ -192,7 +192,7 @@ def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None))
     within = (top * width, bottom * width)
     accumulator = light.accumulator(bottom - top)
     first = 0
-    # One traversal for all light, then the samples without indirect light.
+    # The first samples carry all light in one traversal; the rest of the minimum stops at the first hit.
     if light.tables.has_lights:
         first = min(sampling.indirect, sampling.samples)
         accumulator.add_all(light.sum_all(first, within), first)
@@ -203,7 +203,8 @@ def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None))
     if not light.tables.has_lights or sampling.required is None:
         return accumulator.light()
 
-    # Continue the sample sequences of pixels that need more.
+    # Each round estimates the need anew from all samples so far, and continues the sequences of pixels that
+    # need more: those with the same first and last sample are traced together.
     for _ in range(_REFINEMENT_ROUNDS):
         refinements = list(_refinements(accumulator.samples, sampling.required(accumulator)))
         for begin, end, pixels in refinements:
