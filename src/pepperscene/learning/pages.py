@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -15,8 +14,6 @@ from numpy.typing import NDArray
 from pepperscene.classes import IGNORE_CLASS, IGNORE_COLOUR
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.review.report.page import csp_hash
-
-_PACKAGE: Final = "pepperscene.learning"
 
 
 @dataclass(frozen=True)
@@ -41,15 +38,15 @@ class ImagePanels:
 def render_page(template: str, title: str, **context: Any) -> str:
     """A complete page of a template with a title."""
     environment = Environment(
-        loader=PackageLoader(_PACKAGE),
+        loader=PackageLoader("pepperscene.learning"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
     environment.filters["csp_hash"] = csp_hash
-    style = resources.files(_PACKAGE).joinpath("templates", "page.css").read_text(encoding="utf-8")
-    return environment.get_template(template).render(title=title, style=Markup(style), **context)
+    style = Markup(environment.get_template("page.css").render())
+    return environment.get_template(template).render(title=title, style=style, **context)
 
 
 def ranked_examples(mean_iou: NDArray[np.float64]) -> list[tuple[str, int]]:
