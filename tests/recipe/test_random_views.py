@@ -109,7 +109,7 @@ def camera():
 @pytest.fixture(scope="module")
 def views(scene, space, camera):
     rng = np.random.default_rng(5)
-    return [random_view(SETTINGS, scene, camera, rng, anything, space) for _ in range(300)]
+    return [random_view(SETTINGS, scene, camera, rng, anything, space) for _ in range(1000)]
 
 
 @pytest.fixture(scope="module")
@@ -380,9 +380,10 @@ def test_views_depend_on_the_generator_alone(scene, space, camera, monkeypatch):
 # Impossible requests
 
 
-def refusal(settings, scene, camera, visible=anything):
+def refusal(settings, scene, camera, visible=anything, attempts=2000):
+    rng = np.random.default_rng(0)
     with pytest.raises(InputError) as caught:
-        random_view(settings, scene, camera, np.random.default_rng(0), visible, where="mine.toml")
+        random_view(settings, scene, camera, rng, visible, where="mine.toml", attempts=attempts)
     message = str(caught.value)
     assert message.startswith("mine.toml: ")
     assert "\n" not in message
@@ -415,6 +416,7 @@ def test_a_view_that_is_not_possible_names_the_limit(camera, changes, reason):
         scene,
         camera,
         nothing,
+        attempts=1050,
     )
     counts = [int(count.replace(",", "")) for count in re.findall(r"([\d,]+) (?:were|showed|could)", message)]
     assert message.startswith("mine.toml: no view found in 1,050 attempts: ")
