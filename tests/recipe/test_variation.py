@@ -208,7 +208,7 @@ def test_twins_of_a_moment_have_their_own_values_and_the_same_draws(load):
         spec = plan.frame(index)
         camera = frame_values(recipe, spec).recipe.camera
         assert (camera.gain, camera.bits) == [(1, 8), (2, 10), (4, 12)][spec.twin]
-        moments.setdefault(spec.moment, []).append((spec.twin, camera.focus_mm))
+        moments.setdefault(spec.moment, []).append((spec.twin, camera.focus_m))
     assert sorted(moments) == list(range(6))
     assert all([twin for twin, _ in pairs] == [0, 1, 2] for pairs in moments.values())
     assert all(len({focus for _, focus in pairs}) == 1 for pairs in moments.values())
@@ -233,7 +233,7 @@ def test_coordinates_of_a_target_vary(load):
     )
     targets = [frame_values(recipe, recipe.plan.frame(index)).recipe.views.target for index in range(20)]
     assert len({x for x, _, _ in targets}) == 20
-    assert all(-500 <= x <= 500 and (y, z) == (0, 1000) for x, y, z in targets)
+    assert all(-0.5 <= x <= 0.5 and (y, z) == (0, 1) for x, y, z in targets)
 
 
 @pytest.mark.long
