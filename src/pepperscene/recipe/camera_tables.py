@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
@@ -258,7 +258,7 @@ class DepthCameraTable(CameraTable):
 
     flash: Literal["none"] = NONE
     exposure_s: ExposureTime = AUTO
-    baseline_m: Baseline
+    baseline_m: Baseline = field()  # required, unlike that of a camera
     projector: Name = NONE
     position_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
     rotation_rad: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
