@@ -33,10 +33,6 @@ EXCEPTIONS = {
         "review/report/page.py",
         "resources.files(_PACKAGE).joinpath('templates', name).read_text(encoding='utf-8')",
     ): "of this package",
-    (
-        "learning/pages.py",
-        "resources.files(_PACKAGE).joinpath('templates', 'page.css').read_text(encoding='utf-8')",
-    ): "of this package",
     ("atomic.py", "os.open(folder, os.O_RDONLY)"): "a folder, to lock it",
     ("atomic.py", "temporary.open('rb+')"): "its own temporary file, to flush it",
     ("dataset/store/images.py", "OpenEXR.File(header, channels)"): "an image in memory, to write it",
