@@ -250,14 +250,18 @@ BLACK = {"leaf.chlorophyll_ug_cm2": 1e4, "leaf.brown": 1e3, "leaf.dry_matter_g_c
     "values",
     [
         pytest.param(WHITE, id="R + T is 1"),
-        pytest.param(WHITE | {"leaf.structure_n": 1.0}, id="one plate without pigments"),
-        pytest.param(BLACK, id="R + T is 0"),
-        pytest.param(BLACK | {"leaf.ior": 2.5, "leaf.roughness": 1.0}, id="all gloss"),
+        pytest.param(
+            WHITE | {"leaf.structure_n": 1.0}, id="one plate without pigments", marks=pytest.mark.long
+        ),
+        pytest.param(BLACK, id="R + T is 0", marks=pytest.mark.long),
+        pytest.param(
+            BLACK | {"leaf.ior": 2.5, "leaf.roughness": 1.0}, id="all gloss", marks=pytest.mark.long
+        ),
         pytest.param({"leaf.roughness": 1e-3, "fruit.roughness": 1e-3}, id="mirrors"),
-        pytest.param({"leaf.roughness": 1.0, "fruit.roughness": 1.0}, id="rough"),
-        pytest.param({"leaf.ior": 1.0, "fruit.ior": 1.0}, id="no gloss"),
-        pytest.param({"fruit.flesh_reflectance": 0.0}, id="black flesh"),
-        pytest.param({"flash.power": 1e-6}, id="a faint flash"),
+        pytest.param({"leaf.roughness": 1.0, "fruit.roughness": 1.0}, id="rough", marks=pytest.mark.long),
+        pytest.param({"leaf.ior": 1.0, "fruit.ior": 1.0}, id="no gloss", marks=pytest.mark.long),
+        pytest.param({"fruit.flesh_reflectance": 0.0}, id="black flesh", marks=pytest.mark.long),
+        pytest.param({"flash.power": 1e-6}, id="a faint flash", marks=pytest.mark.long),
     ],
 )
 def test_gradients_are_finite_for_extreme_parameters(renderer, values):
@@ -287,12 +291,14 @@ def test_gradients_without_light_are_zero(surfaces, camera, kaite):
     assert not any(slope.any() for slope in dark.backward(dark.parameters, np.ones((16, 24, 3))).values())
 
 
+@pytest.mark.long
 def test_gradients_under_the_sun_alone(surfaces, camera, kaite):
     sky = Sky(np.full((1, 2, 4), 1e-12, np.float32), Spectrum(NM, np.ones((1, NM.size))), SUN)
     scene = leaf_and_fruit(surfaces, sky)
     assert_finite(DifferentiableRenderer(scene, replace(camera, flash=None), kaite, quality(8, 1)))
 
 
+@pytest.mark.long
 def test_gradients_of_a_mono_camera(surfaces, kaite):
     mono = axis_camera(12, 8, sensor="onsemi_mt9v024_mono")
     renderer = DifferentiableRenderer(leaf_and_fruit(surfaces), mono, kaite, quality(8, 1))
