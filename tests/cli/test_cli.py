@@ -89,6 +89,7 @@ def test_cultivars_lists_shipped_cultivars(command):
     assert "40 nodes" in kaite
 
 
+@pytest.mark.long
 def test_plant_writes_a_mesh_and_a_picture(command, tmp_path):
     out = tmp_path / "new" / "plant.glb"
     result = command("plant", "kaite_february", "--seed", 3, "--out", out, "--detail", 0.4)

@@ -38,6 +38,7 @@ COSINES = tuple(side * cosine for side in (1, -1) for cosine in (1.0, 0.8, 0.5, 
 STATES = (0.0, 0.5, 1.0)
 GROUPS = ("synthetic", "two lobes", "residue", "shipped", "shipped with relief")
 LOSSLESS = GROUPS[:3]
+ALL_GROUPS = [*GROUPS[:-1], pytest.param(GROUPS[-1], marks=pytest.mark.long)]
 
 
 @cache
@@ -61,7 +62,7 @@ def worst(cases: Cases, excess: np.ndarray) -> str:
     return f"{cases.label(case)}: {excess.max():.5f}"
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", ALL_GROUPS)
 def test_no_surface_sends_out_more_than_it_receives(group):
     cases, by_samples, _, by_quadrature, _ = measured(group)
     assert np.isfinite(by_samples).all()
@@ -94,7 +95,7 @@ def test_albedo_equals_that_of_gloss_and_body(group):
     assert (np.abs(by_quadrature - expected) < 0.0015).all(), worst(cases, np.abs(by_quadrature - expected))
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", ALL_GROUPS)
 def test_samples_and_quadrature_agree(group):
     cases, by_samples, rejected, by_quadrature, density = measured(group)
     difference = np.abs(by_samples.mean(axis=1) - by_quadrature)

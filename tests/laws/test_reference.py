@@ -225,7 +225,19 @@ def assert_agree(first: np.ndarray, second: np.ndarray, precision: float = 0.005
 # --- our integrator -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", SCENES)
+IN_CI = {
+    "flash of a few wide discs",
+    "patchy sky",
+    "wide sun in view, through the leaf",
+    "real sun, flash and sky",
+}
+CASES = [
+    kind if kind in IN_CI or "weathered" in kind else pytest.param(kind, marks=pytest.mark.long)
+    for kind in SCENES
+]
+
+
+@pytest.mark.parametrize("kind", CASES)
 def test_light_equals_the_reference(kind):
     scene, camera = SCENES[kind]()
     assert_agree(ours(scene, camera), reference(scene, camera))

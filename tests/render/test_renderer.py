@@ -277,6 +277,7 @@ def test_electrons_are_not_developed_and_the_reference_is_not_denoised(scene, ca
     assert light["electrons"].any()
 
 
+@pytest.mark.long
 def test_path_integrator_renders_with_the_path_tracer(scene):
     # Its scene is reused along a path, and rebuilt for a camera without flash.
     quality = replace(
