@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from stand_in import SceneStandIn
 
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildJob, BuildOptions
@@ -147,12 +148,12 @@ def test_python_needs_the_permission_too(folder, monkeypatch):
     ):
         with pytest.raises(InputError, match="allow_code=True"):
             call()
-    renderer = FrameRenderer("mine.toml", lambda scene: None)
+    renderer = FrameRenderer("mine.toml", SceneStandIn)
     with pytest.raises(InputError, match="allow_code=True"):
         renderer.camera(renderer.recipe.plan.frame(0))
     assert not marker.exists()
     assert not (path / "out").exists()
-    renderer = FrameRenderer("mine.toml", lambda scene: None, allow_code=True)
+    renderer = FrameRenderer("mine.toml", SceneStandIn, allow_code=True)
     assert np.isfinite(renderer.camera(renderer.recipe.plan.frame(0)).pose).all()
     assert marker.exists()
 
@@ -162,7 +163,7 @@ def test_workers_get_the_permission_of_their_build(folder, allowed):
     """A job is sent to processes, and to the workers of a cluster, as a pickle."""
     job = BuildJob.create("mine.toml", "out", ("class",), BuildOptions(allow_code=allowed))
     sent = pickle.loads(pickle.dumps(job, protocol=5))
-    renderer = FrameRenderer(sent.recipe, lambda scene: None)
+    renderer = FrameRenderer(sent.recipe, SceneStandIn)
     spec = renderer.recipe.plan.frame(1)
     if allowed:
         assert renderer.camera(spec).pose.shape == (4, 4)
