@@ -79,6 +79,7 @@ def assert_complete(make, tmp_path):
     return check
 
 
+@pytest.mark.long
 def test_worker_that_is_killed(make, recipe, assert_complete, tmp_path):
     log, gate = tmp_path / "log.txt", tmp_path / "gate"
     at_kill, notices, reported = [], [], []
@@ -311,6 +312,7 @@ def test_cluster_without_workers(make, tmp_path, monkeypatch):
     assert not (tmp_path / "set").exists()
 
 
+@pytest.mark.long
 def test_scheduler_that_is_lost(make, tmp_path):
     with local_cluster(1) as cluster:
 

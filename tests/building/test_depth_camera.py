@@ -64,6 +64,7 @@ def with_changes(**changes):
     return load_recipe("barth2018", {**D435, **{f"depth_camera.{key}": x for key, x in changes.items()}})
 
 
+@pytest.mark.long
 def test_shipped_recipe_has_the_places_of_a_d435():
     frames = FrameRenderer("realsense_depth")
     spec = frames.recipe.plan.frame(5)

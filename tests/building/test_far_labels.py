@@ -300,6 +300,7 @@ SMALL = {
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_fruit_of_far_rows_are_labelled_in_a_daylight_photograph(tmp_path):
     sets = {}
     for labelled_as in ("labels", "ignore", "background"):

@@ -159,6 +159,7 @@ def test_lost_worker_is_replaced(build_small, recipe, expected, tmp_path, monkey
     assert sorted(report.index for report in reports) == sorted(result.made) == list(range(24))
 
 
+@pytest.mark.long
 def test_frame_that_ends_every_worker_is_named_and_others_are_kept(
     build_small, recipe, expected, tmp_path, monkeypatch
 ):

@@ -100,7 +100,10 @@ def test_a_signal_at_the_end_changes_no_result():
         assert (code, errors) in ((0, b""), (128 + number, b"interrupted\n"))
 
 
-@pytest.mark.parametrize("workers", [(), ("--workers", "2")], ids=["serial", "workers"])
+@pytest.mark.parametrize(
+    "workers",
+    [pytest.param((), id="serial"), pytest.param(("--workers", "2"), id="workers", marks=pytest.mark.long)],
+)
 def test_an_interrupted_build_keeps_its_frames_and_is_resumed(tmp_path, workers):
     folder = tmp_path / "set"
     arguments = ("build", "barth2018", "--out", str(folder), *LABELS, "--set", "plan.frames=40", *workers)

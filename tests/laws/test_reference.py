@@ -255,7 +255,7 @@ FEW = {"row.plants_front": 1, "row.plants_back": 1}
 @pytest.mark.parametrize(
     ("name", "index", "columns", "changes"),
     [
-        ("demo", 110, 40, {**FEW, "daylight.sun_azimuth_deg": -60}),
+        pytest.param("demo", 110, 40, {**FEW, "daylight.sun_azimuth_deg": -60}, marks=pytest.mark.long),
         ("greenhouse", 1, 40, {**FEW, "greenhouse.far_rows": 0}),
         pytest.param("demo", 2290, 100, {}, marks=pytest.mark.long),
         pytest.param("barth2018", 125, 100, {}, marks=pytest.mark.long),
@@ -319,6 +319,7 @@ def reference_with(emitters: dict[str, dict[str, object]], scene: Scene, camera:
     return reference(scene, camera, kernel_scene=lit)
 
 
+@pytest.mark.long
 def test_flash_and_sky_equal_mitsubas_emitters():
     view, spot = spot_camera()
     scene = still_life(uniform_sky(Spectrum(NM, 1.0 + 0.001 * (NM - 550.0)), 60_000.0))
@@ -326,7 +327,9 @@ def test_flash_and_sky_equal_mitsubas_emitters():
     assert_agree(ours(scene, view), reference_with({"flash": spot, "sky": constant}, scene, view))
 
 
-@pytest.mark.parametrize("irradiance", [0.03, 1.0, 2.0])
+@pytest.mark.parametrize(
+    "irradiance", [1.0, *(pytest.param(one, marks=pytest.mark.long) for one in (0.03, 2.0))]
+)
 def test_flash_and_sun_equal_mitsubas_emitters(irradiance):
     # A weak sun at first hits is indirect light. The last case has no flash.
     sky, directional = sun_alone(irradiance)
@@ -343,6 +346,7 @@ def test_flash_and_sun_equal_mitsubas_emitters(irradiance):
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS[1:])
+@pytest.mark.long
 def test_samplers_agree(sampler):
     scene, lit = still_life(patchy_sky(sun(BACK, 0.2))), camera()
     assert_agree(reference(scene, lit, spp=64, bounces=1, sampler=sampler), reference(scene, lit, bounces=1))

@@ -63,7 +63,7 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("target", [50.0, 140.0])
+@pytest.mark.parametrize("target", [50.0, pytest.param(140.0, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", VIEWS)
 def test_rendered_image_has_the_wanted_mean_grey(renderer, name, target):
     control = replace(CONTROL, target_grey=target)
@@ -164,7 +164,7 @@ def test_gain_above_the_highest_allowed_is_an_error(renderer):
         renderer.render(photographer(gain=16.0), ["colour"], "draft", 5, exposure_control=CONTROL)
 
 
-@pytest.mark.parametrize("integrator", ["flash", "path"])
+@pytest.mark.parametrize("integrator", ["flash", pytest.param("path", marks=pytest.mark.long)])
 def test_frame_under_another_sky_equals_a_scene_with_that_sky(scene, integrator):
     quality = Quality(4, 2, 8, 1, 0.15 if integrator == "flash" else None, True, integrator)
     view = replace(camera(), exposure_s=1e-3)
