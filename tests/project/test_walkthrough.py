@@ -15,6 +15,10 @@ PACKAGE = Path(pepperscene.__file__).parent
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "architecture.md"
 ROW = re.compile(r"^\| (\d+) \| `(\w+)` \| `([\w/]+\.py)` \| .+ \|$", re.MULTILINE)
 
+MODULE = re.compile(r"`([\w/]+\.py)`")
+NAMES = re.compile(r"((?:`[\w.]+`(?:,| and) )*`[\w.]+`) in `([\w/]+\.py)`")
+"""Names, and the module that has them."""
+
 RECORD_CALLS = """
 import json, sys, threading
 from pepperscene.cli import app
@@ -34,6 +38,19 @@ sys.setprofile(None)
 print(json.dumps(calls))
 """
 """Records the first call of each function in any thread, in a process that makes all plants itself."""
+
+
+def test_modules_and_names_of_the_architecture_page_exist() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    modules = [name for name in MODULE.findall(page) if not name.startswith("tests/")]
+    assert len(modules) > 50
+    assert [name for name in modules if not (PACKAGE / name).is_file()] == []
+    pairs = NAMES.findall(page)
+    assert len(pairs) > 20
+    for names, module in pairs:
+        source = (PACKAGE / module).read_text(encoding="utf-8")
+        for name in re.findall(r"\w+", names.replace(" and ", " ")):
+            assert re.search(rf"^ *(class |def )?{name}\b", source, re.MULTILINE), f"{name} in {module}"
 
 
 def test_a_build_makes_the_calls_of_the_architecture_page(tmp_path: Path) -> None:
