@@ -184,7 +184,13 @@ def row(kaite: Cultivar) -> Mesh:
 
 @pytest.mark.parametrize(
     ("name", "plants", "min_fruit", "tolerated"),
-    [("kaite", 22, 300, 0), ("orange_pointed", 2, 25, 1), ("red_blocky", 2, 25, 1), ("tomato", 2, 25, 1)],
+    [
+        ("kaite", 4, 50, 0),
+        ("red_blocky", 2, 25, 1),
+        pytest.param("kaite", 22, 300, 0, marks=pytest.mark.long),
+        pytest.param("orange_pointed", 2, 25, 1, marks=pytest.mark.long),
+        pytest.param("tomato", 2, 25, 1, marks=pytest.mark.long),
+    ],
 )
 def test_fruit_of_resolved_plants_has_no_contacts(name, plants, min_fruit, tolerated) -> None:
     cultivar = load_cultivar(name)
