@@ -19,7 +19,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 LIMITS := $(foreach name,PEPPERSCENE OIDN_NUM OMP_NUM OPENBLAS_NUM,$(name)_THREADS=$(THREADS)) PEPPERSCENE_PROCESSES=1
 # Byte code is kept even where the environment prevents it: tests start hundreds of processes.
-PYTEST := env -u PYTHONDONTWRITEBYTECODE $(LIMITS) $(BIN)/python -m pytest --numprocesses=$(JOBS) --dist=worksteal
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(LIMITS) $(BIN)/python -m pytest --numprocesses=$(JOBS) --dist=loadscope
 
 .DEFAULT_GOAL := help
 .PHONY: help demo check test test-long durations lock docs clean
