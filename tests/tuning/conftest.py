@@ -9,7 +9,7 @@ import pytest
 from row_cache import rows_from
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def _shared_rows(rows: Path) -> Iterator[None]:
     with rows_from(rows):
         yield
