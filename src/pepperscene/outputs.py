@@ -366,18 +366,6 @@ def needs_surfaces(names: Iterable[str]) -> bool:
     return any(OUTPUTS[name].needs & {"light", "surfaces"} for name in names)
 
 
-def check_band_outputs(names: Iterable[str], sensor: str, *, has_bands: bool) -> None:
-    """Raise `ArgumentError` if an output needs a sensor with bands, or one without."""
-    wrong = (COLOUR_OUTPUTS if has_bands else BAND_OUTPUTS).intersection(names)
-    if not wrong:
-        return
-    problem = f"{min(wrong)!r} needs a sensor with bands, which {sensor} has not"
-    if has_bands:
-        others = ", ".join(repr(name) for name in ("electrons", *sorted(BAND_OUTPUTS)))
-        problem = f"{min(wrong)!r} needs a colour or monochrome sensor; {sensor} has bands: use {others}"
-    raise ArgumentError("outputs", problem)
-
-
 DEFAULT_OUTPUTS: Final = ("colour", "class", "instance", "distance", "distance_code")
 
 

@@ -27,7 +27,6 @@ from pepperscene.outputs import (
     DEPTH_CAMERA_OUTPUTS,
     OUTPUTS,
     STEREO_OUTPUTS,
-    check_band_outputs,
     check_outputs,
 )
 from pepperscene.render.aov.label_images import SceneLabels
@@ -129,7 +128,7 @@ class Renderer:
             SetupError: as `render_scene`.
         """
         requested = check_outputs(outputs)
-        check_band_outputs(requested, camera.sensor.name, has_bands=camera.sensor.pattern == "bands")
+        camera.sensor.check_outputs(requested)
         _check_partners(requested, partners)
         quality = resolve_quality(quality, target_error)
         if DEPTH_CAMERA_OUTPUTS.intersection(requested):

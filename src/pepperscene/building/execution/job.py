@@ -24,7 +24,7 @@ from pepperscene.dataset.store.manifest import Row
 from pepperscene.errors import InputError
 from pepperscene.frame import Frame
 from pepperscene.interrupts import raise_if_interrupted
-from pepperscene.outputs import check_band_outputs, check_outputs
+from pepperscene.outputs import check_outputs
 from pepperscene.recipe.plan import FrameSpec, frame_seed
 from pepperscene.recipe.recipe import Recipe, digest
 from pepperscene.recipe.resolve.camera_views import check_further_cameras
@@ -66,8 +66,7 @@ class BuildJob:
         resolve_quality(options.quality, options.target_error)
         resolved = resolve_recipe(recipe, seed=options.seed, allow_code=options.allow_code)
         check_further_cameras(resolved.recipe, names)
-        sensor = resolved.camera.sensor
-        check_band_outputs(names, sensor.name, has_bands=sensor.pattern == "bands")
+        resolved.camera.sensor.check_outputs(names)
         path = Path(folder).absolute()
         return cls(resolved, path, names, options.quality, options.target_error, options.renderer)
 

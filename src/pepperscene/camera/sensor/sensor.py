@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -13,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.sensor.area_average import AreaAverage
 from pepperscene.camera.sensor.bands import Band, describe_bands
+from pepperscene.errors import ArgumentError
+from pepperscene.outputs import BAND_OUTPUTS, COLOUR_OUTPUTS
 from pepperscene.spectra import Spectrum, photons_per_joule
 
 Pattern = Literal["rggb", "bggr", "grbg", "gbrg", "mono", "bands"]
@@ -168,6 +171,20 @@ class Sensor:
     def electrons_per_joule(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """`(c, n)` photo-electrons per joule of light on a photosite: QE lambda / (h c)."""
         return self.quantum_efficiency.at(wavelength_nm) * photons_per_joule(wavelength_nm)
+
+    def check_outputs(self, names: Iterable[str]) -> None:
+        """Raise `ArgumentError` if an output needs a sensor with bands, or one without."""
+        has_bands = self.pattern == "bands"
+        wrong = (COLOUR_OUTPUTS if has_bands else BAND_OUTPUTS).intersection(names)
+        if not wrong:
+            return
+        problem = f"{min(wrong)!r} needs a sensor with bands, which {self.name} has not"
+        if has_bands:
+            others = ", ".join(repr(name) for name in ("electrons", *sorted(BAND_OUTPUTS)))
+            problem = (
+                f"{min(wrong)!r} needs a colour or monochrome sensor; {self.name} has bands: use {others}"
+            )
+        raise ArgumentError("outputs", problem)
 
     def with_settings(self, bits: int | None = None, gain: float | None = None) -> Sensor:
         """The same sensor with another converter resolution or amplifier gain; None keeps the current one.
