@@ -18,9 +18,8 @@ from pepperscene.errors import ArgumentError
 from pepperscene.outputs import OUTPUTS
 
 Arrays = Mapping[str, NDArray[Any]]
-"""Arrays of one sample by key: `image` (h, w, 3) uint8 in sRGB; `mask`, `instances`, `distance`, `depth_z`,
-`depth_sensor`, and the traits of tissue, `chlorophyll`, `carotenoids`, `water`, `ripeness` and `leaf_age`,
-each (h, w). All have the same height and width; any of them may be missing."""
+"""Arrays of one sample by key: `image` (h, w, 3) uint8 in sRGB; `mask`, `instances` and the others of
+`ARRAY_KEYS`, each (h, w). All have the same height and width; any of them may be missing."""
 
 _KEYS: Final = {"colour": "image", "class": "mask", "instance": "instances"}
 SAMPLE_KEYS: Final = {name: _KEYS.get(name, name) for name in LABELLED_OUTPUTS}

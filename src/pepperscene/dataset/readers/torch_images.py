@@ -42,10 +42,9 @@ def torch_images(
     Args:
         source: a set of images, or a folder for `open_images`.
         keys: of a sample: `image` (3, h, w), `mask` (h, w) int64 with class ids and `VOID` (255, for
-            `ignore_index`), `instances` (h, w) int64, `distance` and `depth_z` (h, w) float32, metres
-            along the ray and along the optical axis, inf for none, `depth_sensor` (h, w) float32, metres as a
-            depth camera measured them, nan for holes; `chlorophyll`, `carotenoids`, `water`, `ripeness` and
-            `leaf_age` (h, w) float32, as the outputs, nan where there is none. A sample also has its `name`.
+            `ignore_index`), `instances` (h, w) int64, and the names of other outputs that `LabelledImage`
+            has, such as `distance`: (h, w) float32, or int64 for integers, with the same values. A sample
+            also has its `name`.
         classes: "fruit=pepper,stalk=peduncle+stem", the classes of `mask`, numbered as by
             `pepperscene export --format semantic --classes`; the attribute `classes` of the result has their
             names. None for all classes, which are class ids without `ripe_from`.
