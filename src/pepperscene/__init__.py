@@ -2,7 +2,7 @@
 
 The whole program in one line; every arrow is one function:
 
-    Cultivar -> Plant -> Mesh -> Scene -> render() -> Frame -> Dataset
+    Cultivar -> Plant -> Mesh -> Scene -> render_scene() -> Frame -> Dataset
 
 Names are loaded on first use, so importing the package takes next to no time.
 """

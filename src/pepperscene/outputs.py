@@ -1,6 +1,6 @@
 """The outputs of a render, each declared once.
 
-`pepperscene.render.renderer` and `.aov.label_images` register how they are rendered, and
+`pepperscene.render.photographs` and `.aov.label_images` register how they are rendered, and
 `pepperscene.review.check` how they are checked beyond their limits.
 """
 
