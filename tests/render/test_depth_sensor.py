@@ -132,8 +132,9 @@ def test_a_depth_camera_needs_our_integrator(output, renderer, colour, depth_cam
 def test_opencv_is_imported_only_to_match_images():
     code = """
 import sys
-import pepperscene.camera, pepperscene.render.renderer, pepperscene.dataset
-pepperscene.dataset.load_recipe("realsense_depth")
+import pepperscene.camera, pepperscene.render.renderer
+from pepperscene.recipe.resolve.load import load_recipe
+load_recipe("realsense_depth")
 assert "cv2" not in sys.modules and "pepperscene.render.depth_sensor" not in sys.modules
 assert "pepperscene.render.aov.traits" not in sys.modules
 """

@@ -82,14 +82,14 @@ def time_plants(times: Times) -> None:
 
 def time_light(times: Times) -> None:
     """Time the stages of a photograph, and the construction of Mitsuba's scene."""
-    from pepperscene.render import kernel_scene, renderer
+    from pepperscene.render import kernel_scene, photographs
     from pepperscene.render.transport import strips
 
     stages = {
         "kernel scene": (kernel_scene, "light_scene"),
         "trace": (strips, "trace_rows"),
         "denoise": (strips, "denoised"),
-        "develop": (renderer, "develop"),
+        "develop": (photographs, "develop"),
     }
     for stage, (module, name) in stages.items():
         setattr(module, name, time_calls(times, stage, getattr(module, name)))
