@@ -106,6 +106,7 @@ def expected(disk, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_full_disk_at_three_moments(disk, tmp_path, expected):
     size_kib = sum(map(len, expected[0].values())) / 1024
     codes = [

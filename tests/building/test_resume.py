@@ -118,6 +118,7 @@ def interrupted_build(start, folder, rng, max_kills, script, max_s, log):
             return kills
 
 
+@pytest.mark.long
 def test_build_that_is_killed_at_random_times_is_resumed(start, tmp_path, log):
     assert start("expected").communicate()[1] == b""
     log.unlink()

@@ -188,6 +188,7 @@ def test_missing_network_interface(build_small, commands, write_jobs, tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+@pytest.mark.long
 def test_jobs_make_the_same_files(build_small, commands, write_jobs, tmp_path, monkeypatch):
     notices, modes = [], set()
     monkeypatch.setenv("STAND_IN_S", "0.1")

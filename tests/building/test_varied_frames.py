@@ -100,6 +100,7 @@ def test_a_frame_alone_has_the_bytes_that_it_has_in_the_set(recipe, whole, tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_frames_in_reverse_order_have_the_same_bytes(recipe, whole, tmp_path):
     for index in (5, 4, 1, 0):
         build(recipe, tmp_path / "set", [index], OUTPUTS, BuildOptions(quality="draft"))
@@ -114,6 +115,7 @@ def test_frames_of_workers_have_the_same_bytes(recipe, whole, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_one_renderer_makes_the_same_frames_in_any_order(recipe, whole, tmp_path):
     from pepperscene.building.scenes.frame_renderer import FrameRenderer
 

@@ -198,6 +198,7 @@ def run_together(*commands):
     return outputs
 
 
+@pytest.mark.long
 def test_commands_read_and_print_folders_whose_names_are_not_utf8(odd_set):
     figure = odd_set + b".svg"
     checked, reported, built, _ = run_together(

@@ -58,7 +58,7 @@ def render(tables: dict, changes: dict, outputs: tuple[str, ...]):
 
 
 @pytest.mark.parametrize(
-    "examples", [pytest.param(40, id="few"), pytest.param(2_000, id="many", marks=pytest.mark.long)]
+    "examples", [pytest.param(8, id="few"), pytest.param(2_000, id="many", marks=pytest.mark.long)]
 )
 def test_the_whole_range_gives_an_image_or_one_sentence(examples):
     admitted, refused = [], []

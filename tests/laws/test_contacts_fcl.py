@@ -259,6 +259,7 @@ def leaf_rates(mesh: Mesh) -> tuple[float, float, float]:
     )
 
 
+@pytest.mark.long
 def test_leaves_of_neighbours_do_not_run_through_each_other(row: Mesh) -> None:
     """A fifth of the blades touch others before, few after, and hardly any by more than 3 mm."""
     before, _ = leaf_pairs(row)

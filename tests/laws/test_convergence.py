@@ -88,12 +88,13 @@ def four(tracer):
     return tracer.parts(4, 3, 400)
 
 
-@pytest.mark.parametrize(("count", "runs"), [(1, 400), (16, 100)])
+@pytest.mark.parametrize(("count", "runs"), [pytest.param(1, 400, marks=pytest.mark.long), (16, 100)])
 def test_mean_does_not_depend_on_the_number_of_samples(tracer, converged, count, runs):
     # A single sample cannot be correlated with others: it must agree with many.
     assert_same_mean(tracer.parts(count, 3, runs), converged)
 
 
+@pytest.mark.long
 def test_mean_of_four_samples_equals_that_of_many(four, converged):
     assert_same_mean(four, converged)
     # In each block, indirect light is right to 3 % (chosen: invisible); 400 seeds leave 0.3 % of noise.
@@ -103,6 +104,7 @@ def test_mean_of_four_samples_equals_that_of_many(four, converged):
     assert mean[lit] == pytest.approx(expected[lit], rel=0.03)
 
 
+@pytest.mark.long
 def test_mean_does_not_depend_on_the_passes(tracer, converged, monkeypatch):
     # 64 samples in 16 passes of four.
     monkeypatch.setattr(accumulate, "_LANES", 4 * 32 * 24)

@@ -52,8 +52,8 @@ def assert_same_labels(frames, most=0.0):
     ("name", "changes", "index", "max_fraction"),
     [
         ("barth2018", {}, 20, 0.75),
-        ("barth2018", {"daylight.illuminance_lx": 0}, 70, 0.75),
-        ("demo", {"views.pitch_deg": 0}, 2290, 0.75),
+        pytest.param("barth2018", {"daylight.illuminance_lx": 0}, 70, 0.75, marks=pytest.mark.long),
+        pytest.param("demo", {"views.pitch_deg": 0}, 2290, 0.75, marks=pytest.mark.long),
         ("greenhouse", {"greenhouse.far_rows": 1, "greenhouse.far_reach_mm": 1000}, 4, 1.0),
     ],
 )

@@ -25,7 +25,9 @@ from pepperscene.render.quality import MAX_TARGET, MIN_TARGET
 from pepperscene.scene import assemble_scene
 
 
-@pytest.mark.parametrize("name", ["sphere and leaf", "plants", "daylight"])
+@pytest.mark.parametrize(
+    "name", ["sphere and leaf", pytest.param("plants", marks=pytest.mark.long), "daylight"]
+)
 def test_reported_error_is_the_true_error(name):
     view = plants_view(daylight=name == "daylight") if name != "sphere and leaf" else sphere_and_leaf_view()
     true, reported, metadata = WithReference(*view).errors("standard")

@@ -49,7 +49,7 @@ def frames(renderer: Renderer, view: Camera, quality: Quality, seeds: range) -> 
     return np.stack([renderer.render(view, ["electrons"], quality, seed)["electrons"] for seed in seeds])
 
 
-LONG = ("daylight, rolling", "flash in few rows, and daylight")
+LONG = ("flash and daylight", "daylight, rolling", "flash in few rows, and daylight")
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,12 @@ def chi_squared(cases: Cases, optics, frames: np.ndarray, case: int):
     )
 
 
-@pytest.mark.parametrize("group", GROUPS)
+LONG = ("shipped", "relief")
+
+
+@pytest.mark.parametrize(
+    "group", [pytest.param(group, marks=pytest.mark.long if group in LONG else ()) for group in GROUPS]
+)
 def test_samples_follow_their_density(group):
     cases, tests = cases_of(group), sum(len(cases_of(g)) for g in GROUPS)
     optics = cases.optics()

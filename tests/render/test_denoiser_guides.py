@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from greenhouse import NM, camera, surfaces
 from scipy.ndimage import gaussian_filter
 from tracer import Tracer
@@ -23,6 +24,7 @@ def _detail(image: np.ndarray) -> np.ndarray:
     return ((green - gaussian_filter(green, 6.0)) / green.mean())[8:-8, 8:-8].ravel()
 
 
+@pytest.mark.long
 def test_relief_in_soft_light_is_kept():
     """Against 4,096 samples without a filter: guides with the relief keep more of it than flat ones."""
     view = camera(flash=False)

@@ -60,6 +60,7 @@ def test_loop_follows_the_same_paths_as_without_it(monkeypatch):
     np.testing.assert_allclose(looped, without, rtol=1e-3, atol=1e-5 * without.max())
 
 
+@pytest.mark.long
 def test_stronger_roulette_keeps_the_mean():
     scene, view = greenhouse(), camera(flash=False)
     renderer = Renderer(scene)

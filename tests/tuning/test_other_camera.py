@@ -139,6 +139,7 @@ def test_light_and_camera_are_named_as_causes(by_pigments, case):
         assert any(one.startswith("Other groups") and "pigments" in one for one in fit.diagnostics)
 
 
+@pytest.mark.long
 def test_light_and_camera_explain_what_is_visible(by_everything, by_pigments):
     """All colours agree; the narrow lines of the lamp leave more than noise in the pixels."""
     problem, fit = by_everything

@@ -76,11 +76,12 @@ def check_errors(recoveries: list[Recovery]) -> tuple[float, int]:
     return deviance, entries
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_recovers_hidden_parameters(seed):
     check_recovery(small(seed))
 
 
+@pytest.mark.long
 def test_errors_are_as_large_as_stated():
     check_errors([small(seed) for seed in range(2)])
 
