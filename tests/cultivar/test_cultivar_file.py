@@ -19,12 +19,13 @@ from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
 
 KAITE = shipped_folder("plants") / "kaite.toml"
+TABLE = read_toml(KAITE)
 SHIPPED = sorted(file.stem for file in KAITE.parent.glob("*.toml"))
 
 
 @pytest.fixture
 def table() -> dict[str, Any]:
-    return copy.deepcopy(read_toml(KAITE))
+    return copy.deepcopy(TABLE)
 
 
 def load(table: dict[str, Any], folder: Path, name: str = "plant.toml") -> Cultivar:
@@ -55,16 +56,13 @@ TABLE_1 = {
 }
 
 
-@pytest.mark.parametrize("name", TABLE_1)
-def test_the_file_has_table_1_with_its_source(kaite: Cultivar, name: str) -> None:
-    value = distribution(kaite, name)
-    mean, sd = TABLE_1[name]
-    assert (1e3 * value.mean, 1e3 * value.sd) == (pytest.approx(mean), pytest.approx(sd))
-    assert "Table 1" in value.source
-    if name in ("petiole.length", "lamina.length"):
+def test_the_file_has_table_1_with_its_source(kaite: Cultivar) -> None:
+    for name, (mean, sd) in TABLE_1.items():
+        value = distribution(kaite, name)
+        assert (1e3 * value.mean, 1e3 * value.sd) == (pytest.approx(mean), pytest.approx(sd)), name
+        assert "Table 1" in value.source
         # These rows of the table are misprinted.
-        assert value.as_printed
-        assert value.used
+        assert bool(value.as_printed and value.used) == (name in ("petiole.length", "lamina.length"))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -106,31 +104,20 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
         "fruit must be at most 600 mm wide",
     ),
     "unknown key": ("organs.node.girth", {"mean_mm": 1, "sd_mm": 0.1, "chosen": "x"}, "not a known key"),
-    "unknown key of a distribution": (NODE, {"men_mm": 1, "chosen": "x"}, "not a known key"),
     "angle for a length": (NODE, {"mean_deg": 16, "sd_deg": 2, "chosen": "x"}, "wrong unit"),
-    "length for an angle": ("stem.lean", {"mean_mm": 0, "sd_mm": 2, "chosen": "x"}, "wrong unit"),
-    "centimetres": (NODE, {"mean_cm": 1.6, "sd_cm": 0.2, "chosen": "x"}, "wrong unit"),
     "unit on a ratio": ("organs.fruit.taper", {"value_mm": 0.8, "chosen": "x"}, "wrong unit"),
     "no unit on a length": (NODE, {"value": 0.8, "chosen": "x"}, "wrong unit"),
     "no origin": (NODE, {"mean_mm": 16, "sd_mm": 2}, "needs a source"),
     "two distributions": (NODE, {"value_mm": 16, "mean_mm": 16, "chosen": "x"}, "only one of them"),
     "mean alone": (NODE, {"mean_mm": 16, "chosen": "x"}, "only one of them"),
     "an sd of 0": (NODE, {"mean_mm": 16, "sd_mm": 0, "chosen": "x"}, "for a constant use value_mm"),
-    "bounds that exclude the mean": (
-        NODE, {"mean_mm": 16, "sd_mm": 2, "low_mm": 17, "chosen": "x"}, "must be between"
-    ),
     "bounds too narrow for the sd": (
         NODE, {"mean_mm": 16, "sd_mm": 2, "low_mm": 15, "high_mm": 17, "chosen": "x"}, "no normal"
     ),
     "negative lengths": (NODE, {"mean_mm": 16, "sd_mm": 20, "chosen": "x"}, "needs low_mm"),
-    "a size of 0": (NODE, {"mean_mm": 9, "sd_mm": 3, "low_mm": 0, "chosen": "x"}, "from 1e-06 to 3"),
     "a state beyond 1": ("organs.node.state", {"uniform": [0.5, 1.2], "chosen": "x"}, "from 0 to 1"),
     "text for a number": (NODE, {"value_mm": "16", "chosen": "x"}, "finite number"),
     "infinite": (NODE, {"value_mm": math.inf, "chosen": "x"}, "finite number"),
-    "beyond a kilometre": (NODE, {"mean_mm": 1e7, "sd_mm": 1, "chosen": "x"}, "must be between -1e+06"),
-    "bounds that are too narrow": (
-        NODE, {"mean_mm": 1e-9, "sd_mm": 1, "low_mm": 0, "high_mm": 1e-8, "chosen": "x"}, "no normal"
-    ),
     "histogram that does not sum to 1": (
         f"{LEAF}.azimuth", {"histogram_deg": [[0, 180, 0.5], [180, 360, 0.49]], "chosen": "x"}, "sum to 0.99"
     ),
@@ -140,13 +127,8 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
     "histogram that overlaps": (
         f"{LEAF}.azimuth", {"histogram_deg": [[0, 180, 0.5], [170, 360, 0.5]], "chosen": "x"}, "overlap"
     ),
-    "histogram row too short": (f"{LEAF}.azimuth", {"histogram_deg": [[0, 180]], "chosen": "x"}, "3 numbers"),
     "curve that does not reach the top": (
         NODE, {"along_mm": [[0, 16], [0.9, 12]], "chosen": "x"}, "ascend from 0"
-    ),
-    "curve of one point": (NODE, {"along_mm": [[0, 16]], "chosen": "x"}, "at least two"),
-    "curve beyond its bounds": (
-        NODE, {"along_mm": [[0, 16], [1, 12]], "low_mm": 13, "chosen": "x"}, "every mean"
     ),
     "height for a fixed value": (NODE, {"value_mm": 16, "with_height": 0.4, "chosen": "x"}, "needs a normal"),
     "height for what is drawn once": (
@@ -162,18 +144,12 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
     "shares of residue that do not sum to 1": (
         "organs.lamina.residue_shares", {"dust": 0.5, "spray": 0.1, "mildew": 0.1}, "sum to 0.7"
     ),
-    "an unknown kind of residue": ("organs.lamina.residue_shares", {"soot": 1.0}, "soot"),
     "a kind that is not there": (f"{LEAF}.what", {"petiol": 1, "none": 0, "chosen": "x"}, "of the organs"),
     "a stem on a node": (f"{LEAF}.what", {"internode": 1, "chosen": "x"}, "only the stem"),
     "thirteen": ("organs.side_shoot.bears.0.count", {"thirteen": 1, "chosen": "x"}, "one of one, two"),
-    "a bare number for a choice": (f"{LEAF}.count", 3, "a table of probabilities, such as { one = 0.7"),
-    "a word for a choice": (f"{LEAF}.what", "petiole", "such as { petiole = 0.9"),
     "one slot without its list": ("organs.node.bears", {"name": "leaf"}, "must be a list"),
-    "a number for a table": (f"{FRUIT}.flush", 3, "must be a table"),
     "a number for a scan": ("organs.fruit.scan", 3, "must be a path"),
-    "a number among scans": ("organs.fruit.scan", ["a.ply", 3], "or a list of paths"),
     "a weight without a scan": ("organs.fruit.scan_weights", [1.0], "one weight for each scan: 0, not 1"),
-    "a weight of a scan that is not positive": ("organs.fruit.scan_weights", [0.0], "greater than 0"),
     "an unknown unit of a scan": ("organs.fruit.scan_unit", "km", "must be 'm', 'cm', 'mm' or 'in'"),
     "a word for the colour of a scan": ("organs.fruit.scan_colour", "red", "scan_colour"),
     "a misspelt kind": ("organs.friut", {"calyx": False}, "no kind of this name is inherited"),
@@ -181,12 +157,10 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
     "flush too strong": (
         f"{FRUIT}.flush.strength", {"value": 0.99, "chosen": "x"}, "at most 1"
     ),
-    "descent too steep": (f"{FRUIT}.descent.by", {"value": 0.5, "chosen": "x"}, "must be between"),
     "descent of a kind that does not grow": (f"{FRUIT}.descent.of", "petiole", "one of the kinds"),
     "ripe fraction above 1": ("organs.fruit.ripe_descent", {"value": 0.6, "chosen": "x"}, "within [0, 1]"),
     "no such form": ("organs.node.form", "knot", "must be one of internode"),
     "a stem of nodes": ("stem.internode", "node", "of the form internode"),
-    "no such class": ("organs.petiole.class", "wire", "must be 'background'"),
     "no such surface": ("organs.petiole.surface", "bark", "one of the pigments"),
     "a slot on a blade": (
         "organs.lamina.bears", [{"name": "a", "what": {"cut": 1, "chosen": "x"}}], "bears nothing"
@@ -197,7 +171,6 @@ ERRORS: dict[str, tuple[str, Any, str]] = {
     ),
     "a place on a node": (f"{LEAF}.at", [0.5], "no node has"),
     "after a later slot": (f"{LEAF}.after", "fruit", "a slot before this one"),
-    "pairs without an angle": ("organs.petiole.bears.0.pairs", True, "needs aside"),
     "two slots of a name": (f"{FRUIT}.name", "leaf", "must be unique"),
     "endless shoots": ("organs.side_shoot.depth", None, "can follow itself"),
     "an organ called none": ("organs.none", {"like": "cut"}, "another name"),
@@ -236,18 +209,13 @@ def test_errors_name_the_key(table: dict[str, Any], tmp_path: Path, error: str) 
 
 @pytest.mark.parametrize(
     "name",
-    ["organs.node.width", f"{LEAF}.what", "organs.lamina.inclination", "pigments.leaf.ior", "stem", "name"],
+    ["organs.node.width", f"{LEAF}.what", "pigments.leaf.ior", "name"],
 )
 def test_raises_on_missing_keys(table: dict[str, Any], tmp_path: Path, name: str) -> None:
     put(table, name, None)
     with pytest.raises(InputError, match="required but missing") as caught:
         load(table, tmp_path)
     assert caught.value.key == name
-
-
-def test_unknown_names_list_the_shipped_ones() -> None:
-    with pytest.raises(InputError, match="kaite"):
-        load_cultivar("keite")
 
 
 CHANGES: list[Callable[[dict[str, Any]], object]] = [

@@ -80,25 +80,10 @@ def test_draws_and_quantiles_match_scipys_truncated_normal() -> None:
     assert distribution.quantiles(probabilities) == pytest.approx(expected.ppf(probabilities), rel=1e-9)
 
 
-def test_draws_follow_the_histogram() -> None:
-    drawn = np.degrees(DISTRIBUTIONS["histogram"].draw(np.random.default_rng(2), 10_000))
-    counts, _ = np.histogram(drawn, [0, 90, 100, 140, 180, 360])
-    assert counts[1] == counts[3] == 0
-    assert stats.chisquare(counts[[0, 2, 4]], 10_000 * np.array([0.2, 0.5, 0.3])).pvalue > 1e-3
-    # Uniform within a bin.
-    assert stats.kstest(drawn[drawn >= 180], stats.uniform(180, 180).cdf).pvalue > 1e-3
-
-
 def test_units_become_metres_and_radians() -> None:
     assert parse(LENGTH, value_mm=99).mean == pytest.approx(0.099)
     assert parse(ANGLE, value_deg=90).mean == pytest.approx(math.pi / 2)
     assert parse(RATIO, value=0.5).draw(np.random.default_rng(0)) == 0.5
-
-
-def test_draws_are_deterministic_and_have_the_shape() -> None:
-    first, again = (DISTRIBUTIONS["normal"].draw(np.random.default_rng(3), (4, 5)) for _ in range(2))
-    assert first.shape == (4, 5)
-    assert first.tobytes() == again.tobytes()
 
 
 def test_a_curve_follows_the_position_with_constant_spread() -> None:
@@ -115,8 +100,7 @@ def test_a_curve_follows_the_position_with_constant_spread() -> None:
     assert (values.min(), values.max()) == (0, 1)
 
 
-@pytest.mark.parametrize("correlation", [-0.4, 0.25, 0.8])
-@pytest.mark.parametrize("name", ["skewed", "histogram"])
+@pytest.mark.parametrize(("name", "correlation"), [("skewed", -0.4), ("histogram", 0.8)])
 def test_correlation_with_height_keeps_the_distribution(name: str, correlation: float) -> None:
     """The marginal distribution is unchanged (Kolmogorov-Smirnov), the rank correlation is the stated one."""
     distribution = DISTRIBUTIONS[name].model_copy(update={"with_height": correlation})

@@ -22,34 +22,18 @@ start.dry_matter_g_cm2 = 0.004
 """
 OWN_FAULTS = {
     "incomplete pigments": ("red_blocky", INCOMPLETE_PIGMENTS, "pigments.fruit.end"),
-    "pigments of one number": ("red_blocky", "[pigments.fruit]\nior = 1.4", "pigments.fruit.start"),
-    "unknown pigment": (
-        "red_blocky",
-        INCOMPLETE_PIGMENTS
-        + "end = { structure_n = 1.0, chlorophyll_ug_cm2 = 10, carotenoid_ug_cm2 = 4, water_cm = 0.02, "
-        + "dry_matter_g_cm2 = 0.004, chlorofyll = 3 }",
-        "pigments.fruit.end.chlorofyll",
-    ),
     "another form": ("tomato", '[organs.lamina]\nform = "stalk"', "organs.lamina.length"),
-    "another form of an inherited bearer": (
-        "kaite",
-        '[organs.petiole]\nform = "blade"',
-        "organs.petiole.width",
-    ),
     "like another form": (
         "kaite",
         '[organs.bract]\nlike = "lamina"\nform = "peduncle"\n',
         "organs.bract.diameter",
     ),
-    "own distribution": ("red_blocky", "[organs.fruit.diameter]\nmean_mm = 80", "organs.fruit.diameter"),
-    "own slot": ("kaite", '[[organs.node.bears]]\nname = "leaf"\nlift = "up"', "organs.node.bears.0.lift"),
     "new slot without an azimuth": (
         "kaite",
         '[[organs.node.bears]]\nname = "second"\nwhat = { petiole = 1, chosen = "x" }',
         "organs.node.bears.5.azimuth",
     ),
     "new kind without a form": ("kaite", "[organs.thorn]\nsize_correlation = 0.5", "organs.thorn"),
-    "new kind without its lengths": ("kaite", '[organs.thorn]\nform = "cut"', "organs.thorn.diameter"),
     "stem of an unknown node": ("kaite", '[stem]\nnode = "nod"', "stem.node"),
     "teeth of a pinnate blade": (
         "kaite",
@@ -77,11 +61,6 @@ PARENT_FAULTS = {
         "[organs.fruit.diameter]\nmean_mm = -3",
         '[organs.fruit]\nform = "fruit"',
         "organs.fruit.diameter",
-    ),
-    "missing key of a new kind": (
-        '[organs.thorn]\nform = "cut"',
-        "[organs.thorn]\nsize_correlation = 0.5",
-        "organs.thorn.diameter",
     ),
     "slot": (
         '[[organs.node.bears]]\nname = "leaf"\nlift = "up"',

@@ -111,11 +111,9 @@ def test_several_scans_have_weights_and_are_files_of_the_cultivar(tmp_path: Path
 ERRORS: dict[str, tuple[dict[str, Any], str, str]] = {
     "no such parent": ({"extends": "keite"}, "extends", "kaite"),
     "no such file": ({"extends": "keite.toml"}, "extends", "no such file"),
-    "two parents": ({"extends": ["kaite"]}, "extends", "must be a name or a path"),
     "extends itself": ({"extends": "child.toml"}, "extends", "forms a cycle"),
     "no such scan": ({"organs": {"fruit": {"scan": "fruit.obj"}}}, "organs.fruit.scan", "is not a file"),
     "unknown scan format": ({"organs": {"fruit": {"scan": "a.gltf"}}}, "organs.fruit.scan", ".ply, .stl"),
-    "own value": ({"stem": {"parts": 0}}, "stem.parts", "greater than or equal to 1"),
 }  # fmt: skip
 
 
@@ -127,13 +125,6 @@ def test_errors_of_a_child_name_its_key(error: str, tmp_path: Path) -> None:
     assert caught.value.key == key
     assert message in str(caught.value)
     assert "child.toml" in caught.value.where
-
-
-def test_errors_of_a_parent_name_the_parent(tmp_path: Path) -> None:
-    write(tmp_path, "parent.toml", organs={"node": {"width": {"value_mm": -1, "chosen": "x"}}})
-    organs = {"node": {"length": {"value_mm": 9, "chosen": "x"}}}
-    with pytest.raises(InputError, match=r"parent\.toml: organs\.node\.width"):
-        load_cultivar(write(tmp_path, extends="parent.toml", organs=organs))
 
 
 def test_raises_on_a_cycle_or_a_long_chain(tmp_path: Path) -> None:

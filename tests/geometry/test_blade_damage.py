@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from blade_meshes import LENGTH, LOBED, WIDTH, areas, blade, organ, random_organ, signed_areas
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pepperscene.geometry.blade.blades import mesh_blades, roll_angles
@@ -26,19 +26,7 @@ def outline(batch, detail=1.0):
     return flat(batch)[np.concatenate([right[:-1], left[:0:-1]])]
 
 
-def crossings(polygon):
-    """Number of pairs of sides of a closed polygon that cross."""
-    start, end = polygon, np.roll(polygon, -1, axis=0)
-
-    def side(a, b, points):
-        (x, y), (u, v) = (b - a)[:, None].T, (points[None] - a[:, None]).transpose(2, 1, 0)
-        return np.sign(x * v - y * u).T
-
-    apart = side(start, end, start) * side(start, end, end) < 0
-    return int(np.count_nonzero(apart & apart.T) // 2)
-
-
-@pytest.mark.parametrize("detail", [0.3, 0.7, 1.0, 2.0])
+@pytest.mark.parametrize("detail", [0.3, 1.0])
 def test_margin_vertices_are_the_edge_of_the_mesh(detail):
     grid = blade_grid(detail, 0.0)
     directed = {
@@ -55,7 +43,6 @@ def test_whole_blades_are_unchanged():
             np.testing.assert_array_equal(getattr(blade(**measures), name), getattr(blade(), name))
 
 
-@settings(deadline=None, max_examples=80)
 @given(
     seed=st.integers(0, 2**20),
     bites=st.integers(0, 12),
@@ -78,24 +65,9 @@ def test_damage_inverts_no_triangle(seed, bites, width, tears, depth, detail, lo
     np.testing.assert_allclose(np.linalg.norm(after.normals, axis=2), 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", np.linspace(0.01, 0.99, 25))
-def test_outlines_do_not_cross_themselves(seed):
-    for measures in (
-        {"bites": 5, "bite_width_m": 0.016},
-        {"tears": 3, "tear_depth": 0.6},
-        {"bites": 4, "tears": 2},
-    ):
-        polygon = outline(blade(seed=seed, **measures))
-        assert crossings(polygon) == 0
-    # The method finds a polygon that does.
-    polygon[[3, 20]] = polygon[[20, 3]]
-    assert crossings(polygon) > 0
-
-
-@pytest.mark.parametrize("width", [0.006, 0.01, 0.016])
-def test_bites_take_out_round_pieces_of_the_stated_width(width):
+def test_bites_take_out_round_pieces_of_the_stated_width():
     """The area of a segment of a circle whose centre is half a radius outside of the margin."""
-    missing = []
+    width, missing = 0.012, []
     for seed in np.linspace(0.02, 0.98, 40):
         whole, bitten = (
             signed_areas(flat(blade(seed=seed, detail=2.0, **measures)), blade_grid(2.0, 0.0).faces).sum()
@@ -125,7 +97,7 @@ def test_tears_are_narrow_notches_of_the_stated_depth():
 def test_damaged_blades_stay_on_the_surface_of_whole_ones():
     """The distance of bitten blades from whole ones; tears part by a tenth of their length."""
     rng = np.random.default_rng(8)
-    for _ in range(4):
+    for _ in range(2):
         drawn = random_organ(rng)
         bitten = mesh_blades([drawn, organ(drawn.curve, **drawn.measures | {"bites": 4.0})], 1.0)
         moved = np.flatnonzero(np.any(bitten.uv[0] != bitten.uv[1], axis=1))

@@ -21,7 +21,7 @@ from blade_meshes import (
     random_organ,
     signed_areas,
 )
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from organ_meshes import check_mesh, mesh_organs
 
@@ -47,8 +47,8 @@ def hausdorff(one, other):
     return max(distance(one, other).max(), distance(other, one).max())
 
 
-@pytest.mark.parametrize("seed", [0.0, 0.21, 0.93])
-@pytest.mark.parametrize("asymmetry", [-0.1, 0.0, 0.1])
+@pytest.mark.parametrize("seed", [0.0, 0.21])
+@pytest.mark.parametrize("asymmetry", [-0.1, 0.1])
 @pytest.mark.parametrize("detail", [0.3, 1.0])
 def test_flat_blade_has_the_stated_sizes(seed, asymmetry, detail):
     x, y, z = blade(seed=seed, asymmetry=asymmetry, detail=detail).vertices[0].T
@@ -57,14 +57,6 @@ def test_flat_blade_has_the_stated_sizes(seed, asymmetry, detail):
     assert WIDTH * 0.99 < np.ptp(x) <= WIDTH * (1.0 + 1e-9)
     np.testing.assert_allclose(x.max() / np.ptp(x), 0.5 * (1.0 + asymmetry), atol=0.004)
     np.testing.assert_allclose(z, 0.0, atol=1e-12)
-
-
-def test_halves_are_mirror_images_without_asymmetry():
-    flat = blade().uv[0]
-    mirrored = flat * [-1.0, 1.0] + [1.0, 0.0]
-    np.testing.assert_allclose(
-        flat[np.lexsort(flat.T.round(9))], mirrored[np.lexsort(mirrored.T.round(9))], atol=1e-9
-    )
 
 
 def test_outline_is_ovate_with_a_drawn_out_tip():
@@ -84,26 +76,14 @@ def test_blade_is_widest_at_the_stated_place(widest, base):
 
 
 @pytest.mark.parametrize(("measures", "tolerance", "rel"), [({}, 0.004, 0.004), (LOBED, 0.045, 0.01)])
-@pytest.mark.parametrize("seed", [0.05, 0.6])
-def test_outline_is_the_same_at_every_detail(measures, tolerance, rel, seed):
+def test_outline_is_the_same_at_every_detail(measures, tolerance, rel):
     """The polygons differ by half a millimetre on a pepper's leaf; slits between lobes may be cut short."""
     *coarser, finest = (
-        outline(blade(detail=detail, seed=seed, **measures)) for detail in (0.3, 0.5, 1.0, 2.0)
+        outline(blade(detail=detail, seed=0.6, **measures)) for detail in (0.3, 0.5, 1.0, 2.0)
     )
     for line in coarser:
         assert hausdorff(line, finest) < tolerance * LENGTH
         assert polygon_area(line) == pytest.approx(polygon_area(finest), rel=rel)
-
-
-@pytest.mark.parametrize("detail", [0.3, 0.5, 1.0])
-def test_outline_of_random_blades_is_the_same_at_every_detail(detail):
-    rng = np.random.default_rng(3)
-    blades = [random_organ(rng) for _ in range(6)]
-    coarse, fine = mesh_blades(blades, detail), mesh_blades(blades, 2.0)
-    for k in range(len(blades)):
-        assert (
-            hausdorff(*(margin(batch.vertices[k], batch.faces) for batch in (coarse, fine))) < 0.025 * LENGTH
-        )
 
 
 def test_outline_is_smooth():
@@ -127,21 +107,8 @@ def test_lobes_point_to_the_tip():
         assert right[notch, 1] - right[top, 1] < right[top, 1] - right[below, 1]
 
 
-@pytest.mark.parametrize("measures", [{"lobes": 0.0, "lobe_depth": 0.4}, {"lobes": 0.0}])
-def test_entire_margins_have_no_lobes(measures):
-    np.testing.assert_array_equal(blade(**measures).vertices, blade().vertices)
-
-
-@pytest.mark.parametrize(
-    ("detail", "low", "high"), [(0.3, 150, 400), (0.5, 200, 500), (1.0, 500, 800), (2.0, 2000, 3200)]
-)
-def test_detail_sets_the_number_of_triangles(detail, low, high):
-    assert low <= len(blade_grid(detail, 0.0).faces) <= high
-    assert len(blade_grid(detail, 5.0).faces) <= 1.2 * high
-
-
-@pytest.mark.parametrize("detail", [0.1, 0.3, 0.45, 0.7, 1.0, 1.6, 2.0])
-@pytest.mark.parametrize("lobes", [0.0, 3.0, 8.0])
+@pytest.mark.parametrize("detail", [0.1, 0.45, 1.0, 2.0])
+@pytest.mark.parametrize("lobes", [0.0, 8.0])
 def test_grid_is_one_disc(detail, lobes):
     """Every edge has one or two faces of the same winding; Euler's number is that of a disc."""
     faces = blade_grid(detail, lobes).faces
@@ -155,9 +122,9 @@ def test_grid_is_one_disc(detail, lobes):
     assert point_count - edge_count + len(faces) == 1
 
 
-@pytest.mark.parametrize("aspect", [0.3, 0.83, 1.4])
-@pytest.mark.parametrize("base", [0.5, 0.8, 0.9])
-@pytest.mark.parametrize("detail", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("aspect", [0.3, 1.4])
+@pytest.mark.parametrize("base", [0.5, 0.9])
+@pytest.mark.parametrize("detail", [0.3, 1.0])
 def test_no_triangle_of_a_flat_blade_is_inverted(aspect, base, detail):
     for widest in (0.25, 0.35, 0.45):
         flat = blade(width_m=aspect * LENGTH, base=base, widest=widest, asymmetry=0.05, detail=detail)
@@ -171,7 +138,6 @@ def test_lobes_invert_hardly_any_triangle(seed):
     assert area[area < 0.0].sum() > -0.001 * area.sum()
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     seed=st.integers(0, 2**20),
     factor=st.sampled_from([0.0, 1.0, 10.0]),
@@ -220,14 +186,3 @@ def test_uv_are_coordinates_of_the_flat_leaf():
     np.testing.assert_array_equal(bent.uv, flat.uv)
     np.testing.assert_allclose(flat.vertices[..., 1], flat.uv[..., 1] * LENGTH, atol=1e-9)
     np.testing.assert_allclose(flat.vertices[..., 0], (flat.uv[..., 0] - 0.5) * WIDTH, atol=1e-9)
-
-
-def test_blades_do_not_depend_on_others_in_the_batch():
-    rng = np.random.default_rng(12)
-    blades = [random_organ(rng) for _ in range(5)]
-    together = mesh_blades(blades, 1.0)
-    for k, one in enumerate(blades):
-        alone = mesh_blades([one], 1.0)
-        # Up to the last bits: the vectorized sines of long arrays are not those of short ones.
-        np.testing.assert_allclose(alone.vertices[0], together.vertices[k], atol=1e-13)
-        np.testing.assert_allclose(alone.state[0], together.state[k], atol=1e-12)

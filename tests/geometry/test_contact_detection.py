@@ -141,19 +141,6 @@ def test_organs_moved_together_are_where_they_are_moved_alone() -> None:
         assert np.all(radius <= patches.radius[patch][:, None] + 1e-6)
 
 
-def test_patches_hold_all_sample_points() -> None:
-    organs = Organs(grown()[1])
-    for organ in organs.of_class(int(OrganClass.LEAF), int(OrganClass.PEPPER))[::9]:
-        patches, patch, place = organs.patches(np.array([organ]))
-        corners, _ = organs.original_triangles([organ])
-        expected = np.concatenate([organs.original_vertices(organ), fill_triangles(corners)[0]])
-        points = patches.points[patch]
-        assert not place.any()
-        np.testing.assert_array_equal(np.unique(points.reshape(-1, 3), axis=0), np.unique(expected, axis=0))
-        distance = np.linalg.norm(points.astype(float) - patches.centre[patch][:, None], axis=2)
-        assert np.all(distance <= patches.radius[patch][:, None])
-
-
 @pytest.mark.parametrize("between_plants", [False, True])
 def test_depths_in_fruit_are_those_of_all_points(between_plants: bool) -> None:
     """Boxes and bounding spheres leave out nothing that penetrates: all points of all organs agree."""

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from organ_meshes import check_mesh, merged, mesh_organs, organ
 
@@ -49,7 +49,6 @@ def test_flower_is_background_with_normals_out_of_its_inside():
     assert mesh.state[mesh.uv[:, 1] == 0.0].mean() < mesh.state[mesh.uv[:, 1] == 1.0].mean() - 0.2
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     radius=st.floats(0.001, 0.1),
     depth=st.floats(0.01, 2.0),

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from organ_meshes import merged, mesh_organs, organ
 
@@ -26,7 +26,6 @@ def greatest_width(points):
     return np.ptp(points[:, :2].astype(float) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0).max()
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     length=st.floats(0.01, 0.3),
     slimness=st.floats(0.5, 4.0),
@@ -108,7 +107,7 @@ def test_ripeness_is_smooth_across_the_seam_and_has_its_mean_and_spread():
 
 
 @pytest.mark.parametrize("parent_of_fruit", [0, -1])
-@pytest.mark.parametrize("seed", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("seed", [0.1, 0.9])
 def test_calyx_follows_the_surface_of_the_fruit_below_it(parent_of_fruit, seed):
     mesh = mesh_organs(calyx(seed=seed), fruit(parent=parent_of_fruit, seed=seed))
     points = mesh.vertices[mesh.vertex_runs.rows(0)].astype(float)
@@ -134,7 +133,7 @@ def rim_radii(mesh):
     return np.array([radius[group].max() for group in groups if len(group) > 5])
 
 
-@pytest.mark.parametrize("tooth", [0.1, 0.28, 0.75])
+@pytest.mark.parametrize("tooth", [0.1, 0.75])
 def test_calyx_has_five_to_seven_teeth_of_the_stated_depth(tooth):
     counts = set()
     for seed in np.linspace(0.0, 0.95, 24):

@@ -14,7 +14,7 @@ from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
-from pepperscene.geometry.export import FORMATS, check_mesh_format, mesh_files, organ_names, write_mesh
+from pepperscene.geometry.export import FORMATS, mesh_files, organ_names, write_mesh
 from pepperscene.grammar import grow
 
 LEAF_COLOURS = {"leaf": np.array([[0.2, 0.3, 0.1], [0.02, 0.05, 0.01]])}
@@ -102,15 +102,6 @@ def test_obj_has_a_group_for_each_organ():
         np.testing.assert_allclose(np.array(colour, float) * 255, CLASS_COLOURS[item.organ_class], atol=1e-4)
 
 
-def test_obj_keeps_materials_of_one_class_apart():
-    parts = [
-        sphere((0, 0, 0), 0.1, surface=name, organ_class=OrganClass.PEDUNCLE)
-        for name in ("peduncle", "calyx")
-    ]
-    _, groups = parse_obj(mesh_files(concatenate_meshes(parts), "a.obj")["a.obj"].decode())
-    assert [material for material, _ in groups.values()] == ["peduncle_peduncle", "peduncle_calyx"]
-
-
 def test_ply_has_class_and_instance_of_each_face():
     stream = trimesh.util.wrap_as_stream(mesh_files(MESH, "a.ply")["a.ply"])
     loaded = trimesh.load_mesh(stream, file_type="ply", process=False)
@@ -171,20 +162,10 @@ def test_glb_has_the_given_colours_or_those_of_the_class():
     assert all(one["pbrMetallicRoughness"]["metallicFactor"] == 0.0 for one in materials)
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_same_mesh_gives_the_same_bytes(suffix):
-    name = f"a{suffix}"
-    assert mesh_files(small_plant(), name, LEAF_COLOURS) == mesh_files(small_plant(), name, LEAF_COLOURS)
-
-
 @pytest.mark.parametrize("name", ["plant", "plant.fbx", ".glb", "plant.glb.txt", "a/b.GL", ""])
 def test_raises_on_unknown_suffix(name):
     with pytest.raises(InputError, match=r"must end in \.glb, \.obj, \.ply or \.stl"):
         mesh_files(MESH, name)
-
-
-def test_suffix_may_be_in_capitals():
-    assert check_mesh_format("PLANT.GLB") == ".glb"
 
 
 # --- natural colours ----------------------------------------------------------------------------------------

@@ -67,14 +67,6 @@ def test_the_outline_is_the_same_at_every_detail(detail):
         assert polygon_area(margin(points[0], batch.faces)) == pytest.approx(expected, rel=0.01)
 
 
-def test_a_deeper_notch_leaves_less_tissue():
-    shallow, deep = (
-        polygon_area(margin(points[0], batch.faces))
-        for points, batch in (flat(palmate(lobe_depth=depth)) for depth in (0.05, 0.2))
-    )
-    assert 0.75 * shallow < deep < 0.95 * shallow
-
-
 def test_teeth_are_cut_into_the_margin_only():
     """Their mean depth over the margin is about the half of the stated one, and inner vertices stay."""
     (smooth, batch), (toothed, _) = flat(palmate(**TEETH | {"tooth_depth_m": 0.0})), flat(palmate(**TEETH))
@@ -139,17 +131,6 @@ def test_the_lowest_veins_radiate_from_the_base():
     # They point into the lower and the upper lobe.
     assert lowest[1] < 0.0 < third[1]
     assert grid.number.max() < TIP_NUMBER
-
-
-def test_texture_coordinates_are_those_of_a_pinnate_blade():
-    """So the veins of the material are where the rows of the mesh are."""
-    _, one = flat(palmate())
-    assert one.uv[0].min() == 0.0
-    assert one.uv[0].max() == 1.0
-    grid = blade_grid(1.0, 0.0, 0.0)
-    midrib = one.uv[0][1 + grid.side :: len(grid.across)][: len(grid.number)]
-    np.testing.assert_allclose(midrib[:, 0], 0.5)
-    assert np.all(np.diff(midrib[:, 1]) > 0.0)
 
 
 def test_a_pinnate_blade_beside_a_palmate_one_keeps_its_outline():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from organ_meshes import KINDS, check_mesh, check_solid, merged, mesh_organs, organ, shading_agreement
 
@@ -70,10 +70,9 @@ def test_an_organ_is_the_same_alone_and_among_others():
     np.testing.assert_allclose(together.state[used], alone.state, atol=1e-6)
 
 
-@pytest.mark.parametrize("detail", [0.4, 1.0])
-def test_mesh_of_a_grown_plant_is_sound_and_its_solids_are_closed(detail):
+def test_mesh_of_a_grown_plant_is_sound_and_its_solids_are_closed():
     plant = grow(load_cultivar("kaite"), np.random.default_rng(1))
-    mesh = mesh_plant(plant, detail)
+    mesh = mesh_plant(plant)
     check_mesh(mesh)
     assert len(mesh.instances) == len(plant.organs)
     solid = np.array([item.organ_class != OrganClass.LEAF for item in mesh.instances])[mesh.face_instance]
@@ -86,20 +85,9 @@ def test_mesh_of_a_grown_plant_is_sound_and_its_solids_are_closed(detail):
     backward = (owner * len(points) + edges[:, 1]) * len(points) + edges[:, 0]
     assert np.array_equal(np.sort(forward), np.sort(backward))
     assert np.unique(forward).size == forward.size
-    again = mesh_plant(plant, detail)
+    again = mesh_plant(plant)
     for name in ("vertices", "normals", "uv", "state", "faces", "face_instance", "face_surface"):
         assert getattr(mesh, name).tobytes() == getattr(again, name).tobytes()
-
-
-def test_detail_keeps_the_shape_and_changes_the_count():
-    counts, spans = [], []
-    for detail in (0.6, 1.0, 2.0):
-        mesh = mesh_organs(*ONE_OF_EACH, detail=detail)
-        counts.append(len(mesh.faces))
-        spans.append(np.ptp(mesh.vertices, axis=0))
-    assert counts[0] < counts[1] < counts[2]
-    np.testing.assert_allclose(spans[0], spans[2], rtol=0.03)
-    np.testing.assert_allclose(spans[1], spans[2], rtol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +118,6 @@ def test_concatenation_renumbers_faces_instances_and_surfaces():
     check_mesh(both)
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     diameter=st.floats(0.001, 0.3),
     slimness=st.floats(0.4, 4.5),
@@ -184,7 +171,8 @@ def grown():
 
 
 @pytest.mark.parametrize(
-    "kind", ["lamina", "shoot_lamina", "fruit", "node", "internode", "side_shoot", "petiole"]
+    "kind",
+    ["lamina", "fruit", "node", *(pytest.param(k, marks=pytest.mark.long) for k in ("internode", "petiole"))],
 )
 def test_triangles_are_close_to_the_shapes_that_they_approximate(kind, grown):
     """Half of every surface is within a fifth of a pixel, and 95 % within a pixel.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +12,11 @@ from organ_meshes import KINDS, check_mesh, merged, mesh_organs, shading_agreeme
 
 from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.organs import OrganKind
 from pepperscene.cultivar.scans import FruitScans
 from pepperscene.errors import InputError
 from pepperscene.geometry import concatenate_meshes, sphere, write_mesh
-from pepperscene.geometry.fruit.scan import check_unit, choose_scans, load_scan
+from pepperscene.geometry.fruit.scan import choose_scans, load_scan
 from pepperscene.geometry.fruit.scan_clean import MAX_TRIANGLES
 from pepperscene.geometry.fruit.scan_file import read_triangles
 from pepperscene.geometry.mesh import PIGMENTS
@@ -58,9 +55,8 @@ def scanned_fruit(*paths, calyx=False, scans=None, **measures):
     return mesh_organs(*organs, kinds=kinds)
 
 
-@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
-def test_scan_gets_the_size_and_pose_of_its_fruit(tmp_path, suffix):
-    mesh = scanned_fruit(save(apple(), tmp_path / f"fruit.{suffix}"), ripeness=0.6, ripeness_spread=0.1)
+def test_scan_gets_the_size_and_pose_of_its_fruit(tmp_path):
+    mesh = scanned_fruit(save(apple(), tmp_path / "fruit.obj"), ripeness=0.6, ripeness_spread=0.1)
     body = merged(mesh)
     assert body.is_watertight
     assert body.is_winding_consistent
@@ -135,9 +131,8 @@ def with_a_vertex_of_nan():
         (trimesh.creation.torus(major_radius=2.0, minor_radius=0.8), "over its middle"),
     ],
 )
-@pytest.mark.parametrize("suffix", ["ply", "obj"])
-def test_raises_on_meshes_that_are_not_one_closed_body(tmp_path, body, problem, suffix):
-    path = save(body, tmp_path / f"fruit.{suffix}")
+def test_raises_on_meshes_that_are_not_one_closed_body(tmp_path, body, problem):
+    path = save(body, tmp_path / "fruit.ply")
     with pytest.raises(InputError, match=problem) as error:
         load_scan(path)
     assert str(path) in str(error.value)
@@ -155,11 +150,10 @@ def test_raises_on_other_formats_and_missing_files(tmp_path):
         load_scan(folder)
 
 
-@pytest.mark.parametrize("suffix", ["ply", "stl"])
-def test_scan_with_many_triangles_is_simplified(tmp_path, suffix):
+def test_scan_with_many_triangles_is_simplified(tmp_path):
     pytest.importorskip("fast_simplification")
-    path = save(apple(6), tmp_path / f"fruit.{suffix}")
-    fine, coarse = load_scan(path), load_scan(save(apple(5), tmp_path / f"coarse.{suffix}"))
+    path = save(apple(6), tmp_path / "fruit.stl")
+    fine, coarse = load_scan(path), load_scan(save(apple(5), tmp_path / "coarse.stl"))
     assert 0.9 * MAX_TRIANGLES < len(fine.faces) <= MAX_TRIANGLES
     # The same body: its points are on the surface of the other one.
     surface = trimesh.Trimesh(coarse.points, coarse.faces)
@@ -228,11 +222,10 @@ def test_scan_is_chosen_by_weight_and_by_the_seed_of_the_fruit(tmp_path):
 def test_fruit_of_several_scans_have_the_mesh_of_the_chosen_one(tmp_path):
     scans = save(apple(2), tmp_path / "a.ply"), save(apple(3), tmp_path / "b.ply")
     alone = [scanned_fruit(path) for path in scans]
-    for seed in (0.1, 0.4, 0.7, 0.95):
+    for seed in (0.1, 0.95):
         mesh = scanned_fruit(*scans, seed=seed)
         expected = alone[len(mesh.faces) == len(alone[1].faces)]
         np.testing.assert_array_equal(mesh.vertices, expected.vertices)
-        np.testing.assert_array_equal(mesh.faces, expected.faces)
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("m", 1e-3), ("cm", 0.1), ("mm", 1.0), ("in", 1.0 / 25.4)])
@@ -255,15 +248,6 @@ def test_scan_that_no_unit_fits_is_refused(tmp_path):
     assert len(scanned_fruit(path).faces) == len(apple(2).faces)
 
 
-def test_page_shows_the_error_about_a_unit(tmp_path):
-    page = Path(__file__).parents[2] / "docs" / "reference" / "cultivar.md"
-    scan = replace(load_scan(save(apple(2), tmp_path / "fruit.ply")), diameter=78.4)
-    diameter = load_cultivar("kaite").organs["fruit"].diameter.mean
-    with pytest.raises(InputError) as error:
-        check_unit(Path("blocky.ply"), scan, "m", diameter)
-    assert f"\n{error.value}\n" in page.read_text(encoding="utf-8")
-
-
 def painted(body):
     """A body whose linear colour is its position in its box."""
     place = (body.vertices - body.bounds[0]) / np.ptp(body.bounds, axis=0)
@@ -271,8 +255,7 @@ def painted(body):
     return body
 
 
-@pytest.mark.parametrize("suffix", ["ply", "obj"])
-@pytest.mark.parametrize("subdivisions", [4, 6])
+@pytest.mark.parametrize(("suffix", "subdivisions"), [("ply", 4), ("obj", 6)])
 def test_points_have_the_colours_of_the_scan(tmp_path, suffix, subdivisions):
     # The finer one is simplified.
     body = painted(apple(subdivisions))

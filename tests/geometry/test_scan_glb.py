@@ -111,15 +111,6 @@ def test_glb_is_y_up(tmp_path):
     assert slopes[2] == pytest.approx(-slopes[0], abs=0.01)
 
 
-def test_colours_of_points_are_linear(tmp_path):
-    body = BALL.copy()
-    body.visual.vertex_colors = np.tile([200, 100, 3, 255], (len(body.vertices), 1)).astype(np.uint8)
-    found = read(tmp_path, body.export(file_type="glb"))
-    np.testing.assert_allclose(
-        found.colours, np.tile([200 / 255, 100 / 255, 3 / 255], (len(BALL.vertices), 1))
-    )
-
-
 def test_texture_is_read_from_top_to_bottom(tmp_path):
     # Dark at the top, and the coordinates of trimesh, whose v is upwards, put its bottom at the greatest z.
     rows = np.repeat(np.linspace(0, 250, 64).round()[:, None, None], 3, axis=2).repeat(4, axis=1)

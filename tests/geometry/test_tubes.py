@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from organ_meshes import check_solid, merged, mesh_organs, shading_agreement
+from organ_meshes import check_solid, merged, mesh_organs
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import mesh_plant
@@ -51,13 +51,12 @@ def diameters(mesh):
     return 2.0 * np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=2).max(axis=1)
 
 
-@pytest.mark.parametrize("detail", [0.4, 1.0, 2.0])
+@pytest.mark.parametrize("detail", [0.4, 2.0])
 @pytest.mark.parametrize(
     ("form", "curve"),
     [
         ("internode", UPRIGHT),
         ("stalk", arc(1.2)),
-        ("stalk", arc(-0.6, length=0.03, slope=0.9)),
         ("peduncle", arc(1.7, length=0.046)),
     ],
 )
@@ -75,7 +74,7 @@ def test_length_along_the_rings_is_that_of_the_curve(form, curve, detail):
     assert measured == pytest.approx(length, rel=0.005)
 
 
-@pytest.mark.parametrize("seed", [0.0, 0.21, 0.43, 0.68, 0.91])
+@pytest.mark.parametrize("seed", [0.0, 0.68])
 def test_internode_has_the_stated_radius_over_its_ridges(seed):
     mesh = tube("internode", seed=seed, groove_m=8e-4)
     fraction = rings(mesh).mean(axis=1)[:, 2] / 0.1
@@ -97,12 +96,6 @@ def test_stalk_has_a_foot_of_the_stated_width(foot):
     # Its first ring is slanted, so it is measured across the curve.
     radius = np.linalg.norm(rings(tube("stalk", foot=foot))[0][:, :2], axis=1)
     assert radius.max() == pytest.approx(0.002 * foot, rel=1e-3)
-
-
-def test_peduncle_widens_only_towards_the_calyx():
-    measured = diameters(tube("peduncle", radius_m=0.003, radius_tip_m=0.005))
-    assert measured[-1] == pytest.approx(0.01, rel=1e-3)
-    assert measured[len(measured) // 2 : -2].max() < 0.0078
 
 
 @pytest.mark.parametrize("detail", [0.4, 1.0, 2.3])
@@ -228,8 +221,7 @@ def test_internodes_and_nodes_join_without_a_step(grown):
     assert max(np.ptp(mesh.state) for mesh in stem) < 0.9
 
 
-@pytest.mark.parametrize("offset", [-0.3, 0.1, 0.4])
-@pytest.mark.parametrize("slope", [-0.2, 0.3, 0.8, 1.2])
+@pytest.mark.parametrize(("offset", "slope"), [(-0.3, -0.2), (-0.3, 1.2), (0.4, -0.2), (0.4, 1.2)])
 @pytest.mark.parametrize("form", ["stalk", "peduncle", "cut"])
 def test_feet_are_covered_by_their_node(form, slope, offset):
     # The joint must not gape: the part of the foot's first ring outside the node is less than its cap bulges,
@@ -260,14 +252,6 @@ def test_tip_of_a_petiole_continues_flat_below_the_midrib():
     assert -0.0013 < point @ over < 0.0
 
 
-@pytest.mark.parametrize("form", SIZES)
-def test_shading_normals_agree_with_the_winding(form):
-    curve = {"node": NODE_AXIS, "cut": UPRIGHT * 0.06}.get(form, arc(0.8))
-    for detail in (0.3, 1.0, 2.0):
-        assert shading_agreement(tube(form, curve, RISING_UP, detail, seed=0.7)) > 0.2
-
-
-@settings(max_examples=60, deadline=None)
 @given(
     form=st.sampled_from(sorted(SIZES)),
     length=st.floats(0.001, 0.5),
@@ -296,11 +280,3 @@ def test_any_tube_is_sound_and_closed(
     check_solid(mesh)
     assert mesh.uv.min() == 0.0
     assert mesh.uv.max() == 1.0
-
-
-def test_v_increases_along_a_stalk():
-    mesh = tube("stalk", radius_m=0.003, radius_tip_m=0.002)
-    order = np.argsort(mesh.vertices[:, 2], kind="stable")
-    # The first rings of a foot are slanted.
-    beyond_foot = order[mesh.vertices[order, 2] > 0.02]
-    assert np.all(np.diff(mesh.uv[beyond_foot, 1]) > -1e-6)

@@ -17,10 +17,10 @@ def tomato() -> Cultivar:
 @pytest.fixture(scope="session")
 def plants(kaite: Cultivar) -> list[Plant]:
     """Kaite plants with fixed seeds."""
-    return [grow(kaite, np.random.default_rng(seed)) for seed in range(200)]
+    return [grow(kaite, np.random.default_rng(seed)) for seed in range(120)]
 
 
 @pytest.fixture(scope="session")
 def tomatoes(tomato: Cultivar) -> list[Plant]:
     """Tomato plants with fixed seeds."""
-    return [grow(tomato, np.random.default_rng(seed)) for seed in range(60)]
+    return [grow(tomato, np.random.default_rng(seed)) for seed in range(40)]

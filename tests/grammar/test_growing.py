@@ -1,37 +1,14 @@
-"""Consistency of a plant: what grows where, how parts join, and that the same input gives the same bytes."""
+"""Consistency of a plant: what grows where, and how parts join."""
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from pepperscene.cultivar import CALYX, Cultivar, load_cultivar
+from pepperscene.cultivar import CALYX, Cultivar
 from pepperscene.grammar import Organ, Plant, grow
-
-MEASURES = {
-    "internode": {"radius_m", "radius_tip_m", "groove_m", "seed", "state_mean", "state_tip", "state_spread"},
-    "node": {"radius_m", "radius_start_m", "radius_end_m", "groove_m", "seed", "state_mean"},
-    "stalk": {"radius_m", "radius_tip_m", "channel", "seed", "state_mean", "state_spread"},
-    "peduncle": {"radius_m", "radius_tip_m", "seed", "state_mean"},
-    "calyx": {"radius_m", "tooth", "seed", "state_mean"},
-    "cut": {"radius_m", "seed"},
-    "flower": {"radius_m", "petals", "open", "seed", "state_mean"},
-    "fruit": {
-        *("length_m", "diameter_m", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend_rad"),
-        *("neck", "neck_length", "seed", "ripeness", "ripeness_spread", "residue"),
-    },
-    "blade": {
-        *("length_m", "width_m", "fold_rad", "margin_wave_m", "margin_waves", "blister_m", "vein_m"),
-        *("twist_rad", "curl_rad", "asymmetry", "widest", "base", "lobes", "lobe_depth"),
-        *("rolled_rad", "bites", "bite_width_m", "tears", "tear_depth", "residue", "ageing"),
-        *("palmate", "sinus", "teeth", "tooth_depth_m", "seed", "state_mean", "state_spread"),
-    },
-}
 
 
 def form(plant: Plant, organ: Organ) -> str:
@@ -41,13 +18,6 @@ def form(plant: Plant, organ: Organ) -> str:
 @pytest.fixture(scope="module")
 def both_crops(plants: list[Plant], tomatoes: list[Plant]) -> list[Plant]:
     return plants[:20] + tomatoes[:10]
-
-
-@pytest.mark.parametrize("name", ["kaite", "tomato"])
-def test_every_kind_grows(name: str, plants: list[Plant], tomatoes: list[Plant]) -> None:
-    cultivar, grown = load_cultivar(name), plants if name == "kaite" else tomatoes
-    assert {organ.kind for plant in grown for organ in plant.organs} == set(cultivar.present_kinds)
-    assert all(plant.kinds == cultivar.kinds for plant in grown)
 
 
 def test_parents_are_those_of_the_file_and_come_first(
@@ -111,25 +81,6 @@ def test_curves_start_on_their_parents(both_crops: list[Plant]) -> None:
                     np.testing.assert_allclose(organ.curve[0], parent.curve[-1], rtol=0, atol=1e-12)
 
 
-def test_up_is_a_unit_vector_across_the_curve(both_crops: list[Plant]) -> None:
-    for plant in both_crops:
-        for organ in plant.organs:
-            tangent = organ.curve[1] - organ.curve[0]
-            assert organ.up @ organ.up == pytest.approx(1.0)
-            assert abs(organ.up @ tangent) < 1e-9 * np.linalg.norm(tangent)
-
-
-def test_measures_are_those_that_mesh_generators_read(both_crops: list[Plant]) -> None:
-    for plant in both_crops:
-        for organ in plant.organs:
-            assert set(organ.measures) == MEASURES[form(plant, organ)], organ.kind
-            assert np.isfinite(list(organ.measures.values())).all()
-            assert all(value > 0 for name, value in organ.measures.items() if name.startswith("radius"))
-            for name in ("seed", "state_mean", "state_tip", "ripeness"):
-                assert 0.0 <= organ.measures.get(name, 0.0) <= 1.0
-        assert len({organ.measures["seed"] for organ in plant.organs}) == len(plant.organs)
-
-
 def test_blades_leave_their_stalks_without_a_kink(both_crops: list[Plant]) -> None:
     checked = 0
     for plant in both_crops:
@@ -184,6 +135,8 @@ def test_the_young_top_is_small_pale_and_upright(kaite: Cultivar, plants: list[P
 
 def test_states_and_radii_are_continuous_along_the_stem(both_crops: list[Plant]) -> None:
     for plant in both_crops:
+        # Each organ varies by its own number.
+        assert len({organ.measures["seed"] for organ in plant.organs}) == len(plant.organs)
         internodes, nodes = plant.of_form("internode"), plant.of_form("node")
         for below, node, above in zip(internodes[:-1], nodes[:-1], internodes[1:], strict=True):
             assert below.measures["state_tip"] == above.measures["state_mean"]
@@ -192,38 +145,3 @@ def test_states_and_radii_are_continuous_along_the_stem(both_crops: list[Plant])
             assert node.measures["radius_end_m"] == above.measures["radius_m"]
         # From an old foot to a young top.
         assert internodes[0].measures["state_mean"] < internodes[-1].measures["state_tip"] - 0.1
-
-
-def test_side_shoots_end_at_their_depth(kaite: Cultivar, plants: list[Plant]) -> None:
-    deepest = 0
-    for plant in plants:
-        depth: dict[int, int] = {}
-        for index, organ in enumerate(plant.organs):
-            if organ.kind == "side_shoot":
-                depth[index] = 1 + depth.get(organ.parent, 0)
-        deepest = max(deepest, *depth.values())
-    assert deepest == kaite.organs["side_shoot"].depth
-
-
-def digest(plant: Plant) -> str:
-    """SHA-256 of every byte of a plant."""
-    sha256 = hashlib.sha256()
-    for organ in plant.organs:
-        sha256.update(f"{organ.kind} {organ.parent} {organ.phytomer} {dict(organ.measures)!r}".encode())
-        sha256.update(organ.curve.tobytes() + organ.up.tobytes())
-    return sha256.hexdigest()
-
-
-def test_the_same_seed_gives_the_same_bytes_in_another_process(kaite: Cultivar) -> None:
-    expected = [digest(grow(kaite, np.random.default_rng(seed), 0.02)) for seed in (11, 12)]
-    assert expected[0] != expected[1]
-    code = (
-        "import sys; sys.path.insert(0, 'tests/grammar'); import numpy as np\n"
-        "from test_growing import digest; from pepperscene.cultivar import load_cultivar\n"
-        "from pepperscene.grammar import grow\n"
-        "kaite = load_cultivar('kaite')\n"
-        # In another order, with another plant in between.
-        "print([digest(grow(kaite, np.random.default_rng(s), 0.02)) for s in (12, 5, 11)][::-2])"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == repr(expected)

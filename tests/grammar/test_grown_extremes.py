@@ -73,10 +73,10 @@ def assert_is_sound(plant: Plant) -> None:
 
 @pytest.mark.parametrize("name", ["kaite", "tomato"])
 @pytest.mark.parametrize("change", [constant, widened])
-@pytest.mark.parametrize("parts", [1, 2, 40])
+@pytest.mark.parametrize("parts", [1, 40])
 def test_zero_and_tenfold_variance(name: str, change: Change, parts: int) -> None:
     cultivar = with_stem(change_all(load_cultivar(name), change), parts=parts)
-    for seed in range(4):
+    for seed in range(2):
         plant = grow(cultivar, np.random.default_rng(seed))
         assert_is_sound(plant)
         if change is constant:
@@ -85,8 +85,8 @@ def test_zero_and_tenfold_variance(name: str, change: Change, parts: int) -> Non
             assert not lengths or np.ptp(lengths) == 0.0
 
 
-@pytest.mark.parametrize("name", ["kaite", "tomato", "kaite_february", "kaite_september", "red_blocky"])
-@pytest.mark.parametrize(("parts", "young"), [(1, 0), (1, 4), (3, 3), (200, 4), (200, 200)])
+@pytest.mark.parametrize("name", ["kaite", "tomato"])
+@pytest.mark.parametrize(("parts", "young"), [(1, 0), (1, 4), (3, 3), (200, 4)])
 def test_any_number_of_nodes(name: str, parts: int, young: int) -> None:
     plant = grow(with_stem(load_cultivar(name), parts=parts, young_nodes=young), np.random.default_rng(7))
     assert_is_sound(plant)

@@ -272,33 +272,3 @@ def test_numbers_of_lobes_follow_their_probabilities(kaite: Cultivar, plants: li
     counts = Counter(o.measures["lobes"] for plant in plants for o in plant.of_kind("fruit"))
     expected = [sum(counts.values()) * probability for probability in lobes.numbers.values()]
     assert stats.chisquare([counts[float(n)] for n in lobes.numbers], expected).pvalue > SIGNIFICANCE
-
-
-def test_blades_have_the_stated_inclination(kaite: Cultivar, plants: list[Plant]) -> None:
-    # Slope of the midrib's middle segment; sway tilts it out of its plane by up to half a degree.
-    stated = kaite.organs["lamina"].distributions["inclination"]
-    blades = [(plant.organs[o.parent], o) for plant in plants for o in organs_of([plant], kaite, "lamina")]
-    middle = np.array([o.curve[7] - o.curve[6] for _, o in blades])
-    outward = np.array([petiole.curve[1] - petiole.curve[0] for petiole, _ in blades])[:, :2]
-    forward = (middle[:, :2] * outward).sum(axis=1) / np.linalg.norm(outward, axis=1)
-    values = np.arctan2(middle[:, 2], forward)
-    tolerance = 4 * stated.sd / np.sqrt(values.size) + np.radians(0.5)
-    assert values.mean() == pytest.approx(stated.mean, abs=tolerance)
-    assert values.std() == pytest.approx(stated.sd, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("kind", "end"), [("petiole", 0), ("side_shoot", 0), ("peduncle", 0), ("peduncle", -1)]
-)
-def test_stalks_have_the_stated_inclination_at_both_ends(
-    kaite: Cultivar, plants: list[Plant], kind: str, end: int
-) -> None:
-    stated = kaite.organs[kind].distributions["end_inclination" if end else "inclination"]
-    organs = list(organs_of(plants, kaite, kind))
-    step = np.array([np.diff(o.curve, axis=0)[end] for o in organs])
-    values = np.arcsin(step[:, 2] / np.linalg.norm(step, axis=1))
-    # A segment's middle is an eighteenth of the bend away from the end: five degrees for peduncles.
-    slack = np.radians(5.0 if kind == "peduncle" else 1.5)
-    tolerance = 4 * stated.sd / np.sqrt(values.size) + slack
-    assert values.mean() == pytest.approx(stated.mean, abs=tolerance)
-    assert values.std() == pytest.approx(stated.sd, rel=0.08)

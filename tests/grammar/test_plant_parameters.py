@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import FrozenInstanceError
-
 import numpy as np
 import pytest
 
@@ -63,13 +61,6 @@ def test_a_larger_fruit_has_a_larger_calyx(parameters: PlantParameters) -> None:
     assert after.organs[number].measures["diameter_m"] == 0.3
     ratio = before.organs[number - 1].measures["radius_m"] / before.organs[number].measures["diameter_m"]
     assert after.organs[number - 1].measures["radius_m"] == pytest.approx(0.3 * ratio)
-
-
-def test_parameters_are_immutable(parameters: PlantParameters) -> None:
-    with pytest.raises(FrozenInstanceError):
-        parameters.cultivar = "other"  # type: ignore[misc]
-    with pytest.raises(ValueError, match="read-only"):
-        parameters.organs["lamina"].values["length"][0] = 1.0
 
 
 def test_raises_on_unknown_organs_and_numbers(parameters: PlantParameters) -> None:

@@ -25,6 +25,8 @@ from pepperscene.errors import SetupError
 from pepperscene.render import Quality, render_scene, variant_name
 from pepperscene.render.variant import VARIANTS, choose_variant
 
+pytestmark = pytest.mark.long
+
 OUTPUTS = ("electrons", "class", "instance", "distance")
 LIGHT = Quality(16, 16, 16, 2, target=None, denoise=False)
 RENDER = """
@@ -41,9 +43,7 @@ def rendered(daylight):
     return {name: np.asarray(frame[name]) for name in OUTPUTS}
 
 
-@pytest.fixture(
-    scope="module", params=[False, pytest.param(True, marks=pytest.mark.long)], ids=["flash", "daylight"]
-)
+@pytest.fixture(scope="module", params=[False, True], ids=["flash", "daylight"])
 def daylight(request):
     return request.param
 

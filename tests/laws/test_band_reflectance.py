@@ -60,12 +60,6 @@ def daylight():
     )
 
 
-@pytest.mark.parametrize("value", [0.05, 0.18, 0.9])
-def test_grey_card_has_its_reflectance_in_all_bands(value):
-    frame = measured(band_camera(), lambertian_surface("grey", value), EVEN_SKY, WhiteReference())
-    np.testing.assert_allclose(frame["reflectance"].mean((0, 1)), np.full(5, value), rtol=0.005)
-
-
 def test_each_band_has_the_mean_reflectance_over_its_response():
     # A ramp over wavelength: the mean over a symmetric band in even light per photon is that of its centre.
     ramp = np.interp(RANGE_NM, [300.0, 1100.0], [0.1, 0.9])
@@ -78,9 +72,8 @@ def test_each_band_has_the_mean_reflectance_over_its_response():
     np.testing.assert_allclose(frame["reflectance"].mean((0, 1)), expected, rtol=0.005)
 
 
-@pytest.mark.parametrize("direction", [(0.1, 1.0, -0.2), (0.0, -0.3, -1.0)], ids=["ahead", "down"])
-def test_panel_sees_the_sun_and_the_sky_that_the_card_sees(direction):
-    camera = band_camera(looking(direction, (0.0, 0.0, 1.0)))
+def test_panel_sees_the_sun_and_the_sky_that_the_card_sees():
+    camera = band_camera(looking((0.1, 1.0, -0.2), (0.0, 0.0, 1.0)))
     frame = measured(camera, lambertian_surface("grey", 0.5), daylight(), WhiteReference())
     np.testing.assert_allclose(frame["reflectance"].mean((0, 1)), np.full(5, 0.5), rtol=0.01)
 

@@ -1,4 +1,4 @@
-"""Noise, full wells and converters against closed forms, for every shipped sensor.
+"""Noise, full wells and converters against closed forms, for a sensor of each kind.
 
 A bound of SIGMAS standard errors fails a correct program once in a million runs; seeds are fixed, so every
 run has the same result.
@@ -14,11 +14,9 @@ from scipy import stats
 
 from pepperscene.camera import Camera, Developing, camera_rgb, load_flash, load_lens, load_sensor, raw_frame
 from pepperscene.camera.sensor.readout import shot_noise
-from pepperscene.shipped import shipped_folder
 
-SHIPPED = sorted(path.stem for path in (shipped_folder("materials") / "sensors").glob("*.toml"))
-SENSORS = [n for n in SHIPPED if load_sensor(n).pattern != "bands"]  # without bands, which have no mosaic
-AVERAGED = [n for n in SENSORS if load_sensor(n).channels == 1 or load_sensor(n).binning > 1]
+SENSORS = ("ueye_ui5250re", "onsemi_mt9v024", "onsemi_mt9v024_mono")  # binned, demosaiced, without colours
+AVERAGED = ("ueye_ui5250re", "onsemi_mt9v024_mono")
 LENS, FLASH = load_lens("lensagon_cmfa0420nd"), load_flash("led_matrix_200klx")
 SIGMAS = 5.0
 
@@ -46,7 +44,7 @@ def flat_frame(sensor, electrons, seed=None, **choices):
 # --- shot noise ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mean", [0.3, 5.0, 31.0, 33.0, 80.0, 1000.0, 6000.0])
+@pytest.mark.parametrize("mean", [0.3, 31.0, 33.0, 6000.0])
 def test_shot_noise_has_the_mean_variance_and_skewness_of_poisson(mean):
     n = 1_000_000
     counts = shot_noise(np.full(n, mean, np.float32), np.random.default_rng(11)).astype(float)
@@ -67,7 +65,7 @@ def test_few_electrons_are_poisson_integers():
     assert stats.chisquare(observed, np.append(expected, counts.size - expected.sum())).pvalue > 1e-6
 
 
-@pytest.mark.parametrize("mean", [32.5, 100.0, 3000.0])
+@pytest.mark.parametrize("mean", [32.5, 3000.0])
 def test_many_electrons_follow_the_poisson_distribution(mean):
     # With the continuity correction, the distribution functions differ by less than 2e-3, which is less than
     # one step of the converter (2 electrons and more) can resolve.
@@ -90,8 +88,7 @@ def test_noise_of_photosites_is_uncorrelated():
 # --- photon transfer ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gain", [1.0, 2.0])
-@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize(("name", "gain"), [(SENSORS[0], 2.0), (SENSORS[1], 1.0)])
 def test_photon_transfer_recovers_gain_and_read_noise(name, gain):
     # Janesick: the variance increases with the mean by 1/K, and is (read noise / K)^2 + 1/12 at zero light.
     # Power: 8 levels of 10^6 photosites; each variance is known to sqrt(2 / 10^6) = 0.14 %, and levels around
@@ -124,7 +121,7 @@ def test_photon_transfer_recovers_gain_and_read_noise(name, gain):
 
 
 @pytest.mark.parametrize("name", AVERAGED)
-@pytest.mark.parametrize("level", [0.0, 0.01, 0.2, 0.7])
+@pytest.mark.parametrize("level", [0.0, 0.2])
 def test_mean_and_variance_of_binned_pixels(name, level):
     # A pixel is the mean of its photosites of a colour; demosaiced ones are not independent and left out.
     sensor = cropped_sensor(name)
@@ -182,9 +179,8 @@ def test_saturated_photosites_have_no_shot_noise(name):
     assert abs(frame.std() / deviation - 1) < SIGMAS / np.sqrt(2 * frame.size) + 0.01
 
 
-@pytest.mark.parametrize("name", SENSORS)
-def test_gain_of_2_saturates_at_half_the_electrons(name):
-    sensor = cropped_sensor(name, sites=40, gain=2.0)
+def test_gain_of_2_saturates_at_half_the_electrons():
+    sensor = cropped_sensor(SENSORS[0], sites=40, gain=2.0)
     half = sensor.full_well_e / 2
     assert np.all(flat_frame(sensor, half) == sensor.full_scale_dn)
     assert np.all(flat_frame(sensor, half - 2 * sensor.gain_e_per_dn) == sensor.full_scale_dn - 2)
@@ -194,8 +190,7 @@ def test_gain_of_2_saturates_at_half_the_electrons(name):
 # --- converter ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("bits", [1, 2, 8, 10, 12, 14, 16])
-@pytest.mark.parametrize("gain", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(("bits", "gain"), [(1, 1.0), (8, 0.5), (12, 2.0), (16, 1.0)])
 def test_converter_rounds_to_its_steps(bits, gain):
     sensor = load_sensor("onsemi_mt9v024_mono").with_settings(bits=bits, gain=gain)
     sensor = dataclasses.replace(sensor, columns=1000, rows=200)

@@ -100,10 +100,3 @@ def test_photographed_chart_matches_observer_and_prediction(sensor):
         assert difference(target, lab).mean() == pytest.approx(difference(target, predicted).mean(), abs=0.3)
     assert difference(predicted, noiseless).mean() < 0.5
     assert difference(predicted, noiseless).max() < 2.5
-
-
-@pytest.mark.parametrize("sensor", SENSORS)
-def test_perfect_diffuser_just_fits_into_the_full_well(sensor):
-    _, camera = chart_scene(sensor)
-    filled = electrons_by_hand(sensor, np.ones((1, NM.size)), camera.flash.illuminance_lx)
-    assert filled.max() == pytest.approx(FILLED * camera.sensor.full_well_e)

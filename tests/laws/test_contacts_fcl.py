@@ -172,7 +172,7 @@ def kaite() -> Cultivar:
 
 @pytest.fixture(scope="module")
 def plants(kaite: Cultivar) -> list[Mesh]:
-    return [unresolved(kaite, seed) for seed in range(50, 54)]
+    return [unresolved(kaite, seed) for seed in range(50, 52)]
 
 
 @pytest.fixture(scope="module")
@@ -185,8 +185,8 @@ def row(kaite: Cultivar) -> Mesh:
 @pytest.mark.parametrize(
     ("name", "plants", "min_fruit", "tolerated"),
     [
-        ("kaite", 4, 50, 0),
-        ("red_blocky", 2, 25, 1),
+        ("kaite", 3, 35, 0),
+        pytest.param("red_blocky", 2, 25, 1, marks=pytest.mark.long),
         pytest.param("kaite", 22, 300, 0, marks=pytest.mark.long),
         pytest.param("orange_pointed", 2, 25, 1, marks=pytest.mark.long),
         pytest.param("tomato", 2, 25, 1, marks=pytest.mark.long),
@@ -211,7 +211,7 @@ def test_detected_contacts_equal_those_of_fcl(plants: list[Mesh]) -> None:
     more that FCL cannot detect, as it tests surfaces only; 2 missed, by less than .2 mm.
     """
     common = disputed = 0
-    for mesh in [*plants, unresolved(load_cultivar("tomato"), 0)]:
+    for mesh in plants:
         pairs = ContactDetector(mesh).fruit_pairs()
         ours: dict[tuple[int, int], float] = {}
         for fruit, other, depth in zip(*map(np.ndarray.tolist, vars(pairs).values()), strict=True):
@@ -226,7 +226,7 @@ def test_detected_contacts_equal_those_of_fcl(plants: list[Mesh]) -> None:
                 # Near the surface either may be right; deeper, FCL misses organs that are completely inside.
                 disputed += abs(depth) < 1e-3
                 assert abs(depth) < 1e-3 or is_inside(mesh, *pair)
-    assert common > 150
+    assert common > 60
     assert disputed < 0.02 * common
 
 
@@ -272,7 +272,11 @@ def test_leaves_of_neighbours_do_not_run_through_each_other(row: Mesh) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "rate"), [("kaite", 0.05), ("orange_pointed", 0.05), ("red_blocky", 0.05), ("tomato", None)]
+    ("name", "rate"),
+    [
+        ("kaite", 0.05),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("red_blocky", 0.05), ("tomato", None))),
+    ],
 )
 def test_leaves_of_a_plant_do_not_run_through_each_other(name: str, rate: float | None) -> None:
     """A quarter of a tomato's leaflets touch others at their lobes, by less than 3 mm, before and after."""
@@ -305,11 +309,3 @@ def test_rate_of_contacts_is_below_one_percent_with_confidence(name: str) -> Non
     hits, total = count_fruit(resolved(cultivar, seed) for seed in range(1000, 1200))
     # One-sided 95 % confidence for a rate (Clopper & Pearson 1934).
     assert stats.beta.ppf(0.95, hits + 1, total - hits) < 0.01
-
-
-def test_contacts_of_two_plants_in_one_mesh_are_resolved(kaite: Cultivar) -> None:
-    first, second = (unresolved(kaite, seed) for seed in (41, 42))
-    both = concatenate_meshes([first, second.moved(np.eye(3), np.array([0.15, 0.0, 0.0]))])
-    result = resolve_contacts(both, np.random.default_rng(3))
-    assert len(touching_fruit(result.mesh)) <= 1 < len(touching_fruit(both))
-    assert result.contacts.fruit_touching <= 1

@@ -90,7 +90,7 @@ def projected(points, distortion):
     return cv2.projectPoints(points, still, still, matrix, np.array(astuple(distortion)))[0][:, 0] + 0.5
 
 
-@pytest.fixture(scope="module", params=sorted(LENSES))
+@pytest.fixture(scope="module", params=["strong", pytest.param("typical", marks=pytest.mark.long)])
 def photograph(request):
     """(distortion, white fraction of each pixel `(600, 800)`, class of each pixel)."""
     camera = axis_camera(flash=even_lamp(LED))

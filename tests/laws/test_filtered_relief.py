@@ -94,7 +94,9 @@ def light(scene: Scene, distance_m: float, columns: int, samples: int) -> float:
     return float(image(scene, distance_m, columns, samples).sum())
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=str)
+@pytest.mark.parametrize(
+    "view", [PEAK, VIEWS[3], *(pytest.param(VIEWS[k], marks=pytest.mark.long) for k in (0, 2, 4))], ids=str
+)
 def test_a_leaf_is_as_bright_from_far_away_as_from_near_by(relief, view):
     scene, plain = (sunny(glossy(heights), *np.radians(view)) for heights in (relief, None))
     near = light(scene, 1.0, 672, 4)

@@ -75,17 +75,3 @@ def test_strength_given_at_another_distance(at_m):
         assert relative_to_point == pytest.approx(1.01, abs=2e-3)
     if at_m == 0.05:
         assert relative_to_point > 2
-
-
-def test_luminous_flux_and_luminance_are_realistic():
-    # Luminous flux: 50,000 cd on the axis (nearly) times the solid angle of the profile, 0.42 sr.
-    flash = load_flash("led_matrix_200klx")
-    angle = np.linspace(0, math.pi / 2, 20_001)
-    solid_angle = 2 * math.pi * np.trapezoid(flash.profile.at(angle) * np.sin(angle), angle)
-    assert solid_angle == pytest.approx(0.42, abs=0.005)
-    lumens = 200_000 * flash.axial_area_m2 * solid_angle
-    per_led = lumens / len(flash.emitters_m)
-    assert 300 < per_led < 360  # as stated in the file
-    # Luminance of an LED's lens: within the range of power LEDs in pulses.
-    luminance = 200_000 * flash.axial_area_m2 / len(flash.emitters_m) / (math.pi * flash.radius_m**2)
-    assert 5e7 < luminance < 2e8

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pepperscene.materials.gloss import cuticle_transmittance, fresnel, gloss_albedo, interpolate_table
@@ -14,7 +14,6 @@ from pepperscene.spectra.prospect import cone_transmissivity
 COSINES = np.concatenate([[0.0], np.geomspace(1e-6, 1e-2, 60), np.linspace(0.01, 1.0, 100)])
 
 
-@settings(deadline=None, max_examples=25, derandomize=True)
 @given(ior=st.floats(1.0, 2.5), roughness=st.floats(-3.0, 0.0))
 @example(ior=1.0, roughness=-3.0)
 @example(ior=1.001, roughness=-3.0)
@@ -47,7 +46,7 @@ def test_fresnel_matches_mitsuba():
         assert fresnel(COSINES, ior) == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize(("ior", "alpha"), [(1.28, 0.45), (1.45, 0.1), (1.5, 1.0), (2.5, 0.02)])
+@pytest.mark.parametrize(("ior", "alpha"), [(1.28, 0.45), (2.5, 0.02)])
 def test_albedo_matches_mitsubas_rough_dielectric(ior, alpha):
     # Only the reflection lobe of roughdielectric: 2^20 samples, standard error below 3e-4.
     mi, dr = mitsuba_modules()
@@ -59,7 +58,7 @@ def test_albedo_matches_mitsubas_rough_dielectric(ior, alpha):
     u = rng.random((3, n)).astype(np.float32)
     context = mi.BSDFContext()
     context.component = 0
-    for cosine in (1.0, 0.5, 0.1, 0.02):
+    for cosine in (1.0, 0.5, 0.02):
         si = dr.zeros(mi.SurfaceInteraction3f, n)
         si.wi = mi.Vector3f(float(np.sqrt(1.0 - cosine**2)), 0.0, cosine)
         _, weight = glass.sample(context, si, mi.Float(u[0]), mi.Point2f(u[1], u[2]))

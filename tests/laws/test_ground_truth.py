@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from bodies import EVEN_SKY, axis_camera, sheet, sphere
+from bodies import axis_camera, sheet, sphere
 from greenhouse import row_of_plants
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.camera import Distortion, arc_path, relative_illumination
+from pepperscene.camera import Distortion, arc_path
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import concatenate_meshes
-from pepperscene.materials import lambertian_surface
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
@@ -75,21 +74,25 @@ def distorted_view_of_plants():
 
 
 def cast_rays(mesh, origin, directions):
-    """Distances and faces `(n,)` of the first hits by trimesh (R-tree and triangle tests, no Embree)."""
+    """Distances and faces `(n,)` of the first hits by trimesh (R-tree and triangle tests, no Embree).
+
+    All rays start at one point, or each at its own.
+    """
+    origin = np.broadcast_to(origin, directions.shape)
     caster = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
     nearest, face = np.full(len(directions), np.inf), np.full(len(directions), -1)
     for first in range(0, len(directions), 10):  # in small batches: each ray has many candidate triangles
         batch = directions[first : first + 10]
-        points, ray, hit = caster.intersects_location(np.tile(origin, (len(batch), 1)), batch)
-        distance = np.linalg.norm(points - origin, axis=1)
+        points, ray, hit = caster.intersects_location(origin[first : first + 10], batch)
+        distance = np.linalg.norm(points - origin[first + ray], axis=1)
         for k in np.argsort(-distance, kind="stable"):
             nearest[first + ray[k]], face[first + ray[k]] = distance[k], hit[k]
     return nearest, face
 
 
 def test_labels_equal_the_hits_of_an_independent_ray_caster():
-    # 2,000 random pixels, through the lens formula.
-    assert_labels_equal_hits(*distorted_view_of_plants(), pixels=2000, seed=5)
+    # Random pixels through the lens formula: 95 % certain to find a fault in 1 % of them.
+    assert_labels_equal_hits(*distorted_view_of_plants(), pixels=300, seed=5)
 
 
 def assert_labels_equal_hits(mesh, camera, pixels, seed):
@@ -105,28 +108,6 @@ def assert_labels_equal_hits(mesh, camera, pixels, seed):
         frame["instance"][row, column], np.where(is_hit, mesh.face_instance[face] + 1, 0)
     )
     np.testing.assert_allclose(frame["distance"][row, column], nearest, rtol=1e-5)
-
-
-def test_colour_and_labels_have_the_same_lens_geometry():
-    # A black ball in front of a uniform sky, in a distorting lens: its outline equals its label to .2 pixels.
-    camera = axis_camera(flash=False)
-    camera = replace(camera, lens=replace(camera.lens, distortion=Distortion(k1=-0.1, k2=0.04)))
-    scene = assemble_scene(
-        sphere((0.25, 0.15, 0.5), 0.06, "black", 6),
-        {"black": lambertian_surface("black", 0.0)},
-        EVEN_SKY,
-    )
-    frame = Renderer(scene).render(camera, ["electrons", "class"], "standard")
-    # Without the lens's falloff, the sky is 1 and the ball 0: coverage in light against that in labels.
-    sky = frame["electrons"][..., 1] / relative_illumination(camera)
-    dark = 1.0 - sky / np.median(sky[frame["class"] == 0])
-    ball = frame["class"] == OrganClass.PEPPER
-    rows, columns = np.nonzero(ball)
-    near = np.s_[rows.min() - 4 : rows.max() + 5, columns.min() - 4 : columns.max() + 5]
-    v, u = np.mgrid[0:600, 0:800] + 0.5
-    assert dark[near].sum() == pytest.approx(ball.sum(), rel=0.01)
-    for axis in (u, v):
-        assert np.average(axis[near], weights=dark[near]) == pytest.approx(axis[ball].mean(), abs=0.2)
 
 
 @pytest.mark.long

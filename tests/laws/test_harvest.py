@@ -223,8 +223,11 @@ MANY = tuple(
 
 @pytest.mark.parametrize(
     ("views", "count", "most", "seed"),
-    [(FEW, 20, 100, 5), (LONG_FRUIT, 4, 60, 7), pytest.param(MANY, 100, None, 6, marks=pytest.mark.long)],
-    ids=["few", "long fruit", "many"],
+    [
+        pytest.param(FEW, 8, 80, 5, id="few"),
+        pytest.param(LONG_FRUIT, 4, 60, 7, marks=pytest.mark.long, id="long fruit"),
+        pytest.param(MANY, 100, None, 6, marks=pytest.mark.long, id="many"),
+    ],
 )
 def test_harvest_truth_equals_that_of_another_ray_caster(views, count, most, seed):
     rendered = [render_view(*view) for view in views]

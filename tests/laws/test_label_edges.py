@@ -27,7 +27,7 @@ from pepperscene.review.check.edges import CHANCE, match_edges
 COLUMNS, ROWS = 640, 480  # photosites, 2x2 to a pixel
 
 
-@pytest.fixture(scope="module", params=["flash", "daylight"])
+@pytest.fixture(scope="module", params=["flash", pytest.param("daylight", marks=pytest.mark.long)])
 def view(request):
     """The camera, its photograph and a function that renders the labels of another camera."""
     recipe = load_recipe("demo")

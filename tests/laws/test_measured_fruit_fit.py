@@ -112,7 +112,7 @@ def test_starts_are_far_from_the_measurement():
 
 def test_fit_reproduces_the_measured_green_pepper():
     fitting = green_pepper()
-    starts = [fitting.default, *(fitting.random_start(np.random.default_rng(seed)) for seed in range(7))]
+    starts = [fitting.default, *(fitting.random_start(np.random.default_rng(seed)) for seed in range(2))]
     results = [fitting.fit(start) for start in starts]
     assert max(map(fitting.rmse, results)) <= RMSE
     # All starts give the same result, within a hundredth of the bounds' width.
@@ -141,14 +141,13 @@ def test_fit_recovers_known_contents():
     # A twin experiment: the measurement is the model's reflectance at known contents.
     pepper = green_pepper()
     rng, (nm,) = np.random.default_rng(5), pepper.model.wavelength_nm
-    for _ in range(3):
-        contents = pepper.low + rng.uniform(0.15, 0.85, pepper.low.size) * (pepper.high - pepper.low)
-        spectrum = Spectrum(nm, pepper.model.predicted(pepper.values(contents)), "error")
-        synthetic = MeasuredSpectrum("twin", "pepper.unripe", spectrum)
-        twin = Fitting(synthetic, fruit(*CONTENTS), unfitted_cultivar())
-        assert twin.fit(twin.default) == pytest.approx(contents, rel=1e-3, abs=1e-3)
+    contents = pepper.low + rng.uniform(0.15, 0.85, pepper.low.size) * (pepper.high - pepper.low)
+    spectrum = Spectrum(nm, pepper.model.predicted(pepper.values(contents)), "error")
+    twin = Fitting(MeasuredSpectrum("twin", "pepper.unripe", spectrum), fruit(*CONTENTS), unfitted_cultivar())
+    assert twin.fit(twin.default) == pytest.approx(contents, rel=1e-3, abs=1e-3)
 
 
+@pytest.mark.long
 def test_model_error_constants_match_residuals_of_leaf_fits():
     # The constants that weight spectra against images, for leaves of twelve plants.
     names = tuple(f"leaf.{name}" for name in CONTENTS[:4])
@@ -172,6 +171,7 @@ def ripe(*pigments: str) -> tuple[str, ...]:
     return (*fruit(*(f"ripe.{name}" for name in ends)), *fruit("structure", "flesh"))
 
 
+@pytest.mark.long
 def test_anthocyanin_fits_a_peach_better_than_capsanthin():
     # Peaches are red by anthocyanins: added to a yellow fruit, they fit better than capsanthin.
     rmse = {}

@@ -85,7 +85,9 @@ def edge_columns(image: np.ndarray) -> np.ndarray:
     return (image / image[:, :1].mean()).sum(axis=1)
 
 
-@pytest.mark.parametrize("quality", [OURS, PATHS], ids=["ours", "paths"])
+@pytest.mark.parametrize(
+    "quality", [OURS, pytest.param(PATHS, marks=pytest.mark.long)], ids=["ours", "paths"]
+)
 def test_an_edge_is_smeared_by_speed_times_exposure_times_focal_length_over_distance(quality):
     view = camera((8.0, 0.0, 0.0))
     expected = 8.0 * 3e-3 * view.intrinsics[0, 0] / DEPTH_M
@@ -99,12 +101,6 @@ def test_an_edge_is_smeared_by_speed_times_exposure_times_focal_length_over_dist
     # The profile of the reference has `INSTANTS` steps at random places; chosen: half of one is allowed.
     steps = 0.02 if quality is OURS else 0.02 + 0.5 / INSTANTS
     assert np.abs(profile / profile[0] - ramp)[inner].max() < steps
-
-
-def test_the_blur_is_about_the_middle_of_the_exposure():
-    for velocity in ((8.0, 0.0, 0.0), (-8.0, 0.0, 0.0)):
-        still, moved = (electrons(knife_edge(), camera(v)) for v in ((0.0, 0.0, 0.0), velocity))
-        assert edge_columns(moved).mean() == pytest.approx(edge_columns(still).mean(), abs=0.02)
 
 
 def test_turning_smears_by_angle_times_focal_length():
@@ -191,12 +187,11 @@ def test_the_sharp_and_the_smeared_part_are_those_of_flash_and_daylight(quality)
     assert np.abs(shapes @ found - profile).max() < 0.03 * profile.max()
 
 
-@pytest.mark.parametrize("line_time_s", [0.0, 1e-5])
-def test_motion_does_not_change_the_amount_of_light(line_time_s):
+def test_motion_does_not_change_the_amount_of_light():
     # A plane that looks evenly bright from everywhere, by flash and daylight.
     surfaces = {"white": lambertian_surface("white", 0.9)}
     scene = assemble_scene(sheet(8.0, 8.0, DEPTH_M, "white"), surfaces, EVEN_SKY)
-    view = camera((1.0, -0.5, 0.0), flash=lamp(5e-5, 200_000.0), line_time_s=line_time_s)
+    view = camera((1.0, -0.5, 0.0), flash=lamp(5e-5, 200_000.0), line_time_s=1e-5)
     moved, still = (electrons(scene, v) for v in (view, replace(view, motion=None)))
     assert moved.mean() == pytest.approx(still.mean(), rel=0.002)
 
@@ -250,12 +245,3 @@ def test_parts_of_an_exposure_have_independent_samples(monkeypatch):
     view = camera((1.0, 0.0, 0.0), flash=lamp(5e-5, 200_000.0))
     electrons(white_edge(), view, replace(OURS, samples=4, soft=4), seed=1)
     assert len(seeds) == len(set(seeds)) == 2
-
-
-def test_images_of_a_moving_camera_depend_on_the_seed_alone():
-    view = camera((1.0, 0.0, 0.0), flash=lamp(5e-5, 200_000.0))
-    first, again, other = (
-        electrons(white_edge(), view, replace(OURS, samples=4, soft=4), seed) for seed in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(first, again)
-    assert (first != other).any()

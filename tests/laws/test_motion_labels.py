@@ -44,22 +44,23 @@ def test_each_row_shows_what_a_ray_caster_finds_from_its_own_pose(plants):
     mesh, poses = renderer.scene.mesh, row_poses(view)
     rng = np.random.default_rng(8)
     hit_rows, hit_columns = np.nonzero(np.isfinite(frame["distance"]))
-    for k in rng.choice(hit_rows.size, 30, replace=False):
-        row, column = int(hit_rows[k]), int(hit_columns[k])
+    chosen = rng.choice(hit_rows.size, 30, replace=False)
+    rows, columns = hit_rows[chosen], hit_columns[chosen]
+    directions = np.einsum("nij,nj->ni", poses[rows, :3, :3], view.pixel_directions()[rows, columns])
+    nearest, faces = cast_rays(mesh, poses[rows, :3, 3], directions)
+    for row, column, direction, distance, face in zip(rows, columns, directions, nearest, faces, strict=True):
         pose = poses[row]
-        direction = pose[:3, :3] @ view.pixel_directions()[row, column]
-        nearest, face = cast_rays(mesh, pose[:3, 3], direction[None])
-        assert frame["distance"][row, column] == pytest.approx(nearest[0], rel=1e-5)
-        assert frame["instance"][row, column] == mesh.face_instance[face[0]] + 1
-        assert frame["class"][row, column] == mesh.face_class[face[0]]
-        point = pose[:3, 3] + nearest[0] * direction
+        assert frame["distance"][row, column] == pytest.approx(distance, rel=1e-5)
+        assert frame["instance"][row, column] == mesh.face_instance[face] + 1
+        assert frame["class"][row, column] == mesh.face_class[face]
+        point = pose[:3, 3] + distance * direction
         np.testing.assert_allclose(frame["position"][row, column], point, atol=1e-5)
         assert frame["depth_z"][row, column] == pytest.approx(
             float(pose[:3, 2] @ (point - pose[:3, 3])), rel=1e-4
         )
         assert frame["normal"][row, column] @ direction <= 1e-6
         # The surface coordinates are those of that point in the triangle.
-        corners, uv = mesh.vertices[mesh.faces[face[0]]].astype(float), mesh.uv[mesh.faces[face[0]]]
+        corners, uv = mesh.vertices[mesh.faces[face]].astype(float), mesh.uv[mesh.faces[face]]
         weights = np.linalg.lstsq(np.vstack([corners.T, np.ones(3)]), np.append(point, 1.0), rcond=None)[0]
         extent = np.ptp(uv, axis=0).max() + 1e-3
         assert np.abs(weights @ uv - frame["uv"][row, column]).max() < 0.02 * extent + 1e-4
@@ -69,7 +70,7 @@ def test_rows_are_those_of_still_cameras_at_their_poses(plants):
     # Whole images from the poses of some rows, of which one row is compared.
     renderer, view, frame = plants
     poses = row_poses(view)
-    for row in (0, 150, 299, 450, 599):
+    for row in (0, 299, 599):
         still = replace(view, pose=poses[row], motion=None)
         other = renderer.render(still, LABELS)
         for name in ("class", "instance"):
@@ -147,8 +148,7 @@ def test_one_pose_or_a_global_shutter_gives_the_labels_of_a_still_camera(plants)
             np.testing.assert_array_equal(frame[name], still[name])
 
 
-@pytest.mark.parametrize("name", ["flow", "stereo"])
-@pytest.mark.parametrize("rows", ["both", "first", "second"])
+@pytest.mark.parametrize(("name", "rows"), [("flow", "first"), ("flow", "second"), ("stereo", "both")])
 def test_positions_projected_to_the_next_camera_match_the_flow(plants, name, rows):
     renderer, view, _ = plants
     poses = arc_path(16, 0.4, (-0.3, 0.3), (0.2, 0.5), np.radians(20.0))

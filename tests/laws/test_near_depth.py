@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from bodies import card
 from planes import ALONG_Y, d435, plane
 
@@ -21,17 +20,11 @@ from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
 from pepperscene.scene import assemble_scene
 
-pytestmark = pytest.mark.slow
 PLANE_M = 0.6
 
 
-@pytest.fixture(scope="module")
-def depth_camera():
-    return d435()
-
-
-@pytest.mark.parametrize("card_m", [0.1])
-def test_the_depth_of_a_near_card_is_a_hole(card_m, depth_camera):
+def test_the_depth_of_a_near_card_is_a_hole():
+    depth_camera, card_m = d435(), 0.1
     nearest = depth_camera.disparity_m / depth_camera.matching.disparities
     assert card_m < nearest
     square = card(0.0, 0.0, 0.6 * card_m, 0.6 * card_m, "matt", card_m).moved(ALONG_Y, np.zeros(3))

@@ -4,7 +4,7 @@ Rationale: the tessellation of an organ is made for its usual size and shape; a 
 300 mm and ten times the variance stretch it. A face without area has no normal, an open fruit no inside, and
 a mesh that differs between machines cannot be compared.
 
-Set-up: Hypothesis changes shipped cultivars: stems of 1 to 200 parts, blades of 1 to 600 mm, fruit of 5 to
+Set-up: Hypothesis changes shipped cultivars: stems of 1 to 120 parts, blades of 1 to 600 mm, fruit of 5 to
 300 mm, all variances 0, unchanged or tenfold; details of .3 to 2.
 
 Expected, after Botsch et al. 2010, Polygon Mesh Processing, ch. 1: finite values, no face without area, no
@@ -15,14 +15,11 @@ positive volume and the topology of a ball, and normals on the front of the face
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 import trimesh
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processes import run_python
 
@@ -110,13 +107,10 @@ CHANGES = st.builds(
 )
 
 
-@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@example(Changes(parts=200, detail=0.3))
-@example(Changes(parts=200, blade_mm=1.0, detail=0.3, variance=10.0))
-@example(Changes(parts=40, young=4, detail=1.0, variance=10.0))
-@example(Changes(parts=40, young=4, detail=2.0, fruit_mm=300.0))
+@settings(max_examples=10)
+@example(Changes(parts=120, blade_mm=1.0, detail=0.3, variance=10.0))
+@example(Changes(parts=16, young=4, detail=2.0, fruit_mm=300.0))
 @example(Changes(parts=1, blade_mm=1.0, fruit_mm=300.0, detail=2.0))
-@example(Changes(cultivar="tomato", parts=16, detail=0.5))
 @example(Changes(cultivar="tomato", parts=16, detail=0.5, variance=10.0))
 @example(Changes(cultivar="orange_pointed", parts=8, fruit_mm=300.0))
 @given(CHANGES)
@@ -196,23 +190,10 @@ def digest(seed: int) -> str:
     return result.hexdigest()
 
 
-@pytest.fixture(scope="module")
-def digests() -> list[str]:
-    return [digest(3), digest(4)]
-
-
-@pytest.mark.parametrize(("hash_seed", "threads"), [("0", "1"), ("1", "2"), ("random", "4")])
-def test_other_processes_make_the_same_vertices(digests: list[str], hash_seed: str, threads: str) -> None:
-    counts = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), threads)
+def test_other_processes_make_the_same_vertices() -> None:
+    digests = [digest(3), digest(4)]
+    assert digests[0] != digests[1]
+    counts = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "2")
     # In reverse order, so that no state is carried over.
     code = "import json; from test_plant_meshes import digest; print(json.dumps([digest(4), digest(3)]))"
-    assert run_python(code, PYTHONHASHSEED=hash_seed, **counts) == digests[::-1]
-
-
-def test_workers_make_the_same_vertices(digests: list[str]) -> None:
-    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
-        assert list(pool.map(digest, [3, 4, 3, 4])) == digests * 2
-
-
-def test_plants_differ_between_seeds(digests: list[str]) -> None:
-    assert digests[0] != digests[1]
+    assert run_python(code, PYTHONHASHSEED="1", **counts) == digests[::-1]

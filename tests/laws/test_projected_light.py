@@ -19,7 +19,6 @@ from pepperscene.render.transport.projection import projected_light
 from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import assemble_scene
 
-pytestmark = pytest.mark.slow
 REFLECTANCE, DISTANCE_M = 0.5, 0.8
 
 

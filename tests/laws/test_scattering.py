@@ -13,7 +13,7 @@ from pepperscene.materials import Surface
 from pepperscene.render.surface.optics import STEP_NM, Optics
 from pepperscene.render.variant import mitsuba_modules
 
-PAIRS = 1 << 16
+PAIRS = 1 << 15
 
 
 def pairs_of_directions(surfaces: tuple[Surface, ...], seed: int) -> tuple[Cases, np.ndarray]:
@@ -34,10 +34,9 @@ def pairs_of_directions(surfaces: tuple[Surface, ...], seed: int) -> tuple[Cases
     return Cases(surfaces, surface, rng.random(PAIRS), a.astype(np.float32), uv), b.astype(np.float32)
 
 
-@pytest.mark.parametrize("footprint_m2", [0.0, 1e-7, None])
-@pytest.mark.parametrize("relief", [False, True])
+@pytest.mark.parametrize(("relief", "footprint_m2"), [(False, 0.0), (True, 0.0), (True, 1e-7), (True, None)])
 def test_scattering_is_reciprocal(relief, footprint_m2):
-    # f(i, o) = f(o, i) for 65,536 pairs over all shipped surfaces, in all states, and all synthetic ones: on
+    # f(i, o) = f(o, i) for 32,768 pairs over all shipped surfaces, in all states, and all synthetic ones: on
     # one side, and through sheets with different sides, with and without residue and ageing. On a relief: for
     # directions on the same side of it and of the smooth surface, because shading normals are not reciprocal
     # for others (Veach 1997, section 5.3). A relief is read at full resolution, filtered to a third of a
@@ -65,8 +64,8 @@ def test_scattering_is_reciprocal(relief, footprint_m2):
     assert (tilt.min() < 0.9) == (relief and footprint_m2 is not None)
     same = cases.wi[:, 2] * b[:, 2] > 0
     for chosen in (valid & same, valid & ~same):
-        assert chosen.sum() > 10_000
-        assert np.count_nonzero(forward[:, chosen] > 0) > 10_000
+        assert chosen.sum() > 5_000
+        assert np.count_nonzero(forward[:, chosen] > 0) > 5_000
         # In single precision the half vector of a mirror of alpha .001 has a relative error of about 1e-3.
         assert forward[:, chosen] == pytest.approx(backward[:, chosen], rel=5e-3, abs=1e-6)
     # Nearly all agree far better.
@@ -94,7 +93,7 @@ def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
     # Taking the nearest entry changes no channel of any surface by more than 2e-5. With entries 1 nm apart it
     # is 2.6e-4: the flash's blue light changes by 6 % of its peak per nm at 440 nm.
     camera = axis_camera()
-    fine = np.arange(380.0, 690.0, 0.02)
+    fine = np.arange(380.0, 690.0, 0.04)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)
     for surface in shipped():
         nm = surface.wavelength_nm

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scatterers import GRID_NM, grey_surface, interaction
 
@@ -53,7 +53,6 @@ def directions(rng: np.random.Generator) -> np.ndarray:
     return np.where(rng.random((PAIRS, 1)) < 0.5, extreme, v).astype(np.float32)
 
 
-@settings(deadline=None, max_examples=40, derandomize=True)
 @given(
     mixture=st.lists(surfaces(), min_size=3, max_size=3), nm=st.floats(200.0, 2600.0), seed=st.integers(0, 99)
 )

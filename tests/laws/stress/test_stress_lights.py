@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from bodies import EVEN_SKY, RANGE_NM, axis_camera, card, point_flash_camera, response_by_hand, sheet
 from strain import FIXED, grey, render, surface
-from typer.testing import CliRunner
 
 from pepperscene.camera import Camera
-from pepperscene.cli import app
-from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.render import Renderer
 from pepperscene.scene import Sky, assemble_scene, uniform_sky
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS, Sun
-from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
 pytestmark = pytest.mark.long
@@ -159,21 +154,3 @@ def test_scale_of_the_flash_spectrum_does_not_matter(scale):
     other = replace(camera, flash=replace(camera.flash, spectrum=camera.flash.spectrum.times(scale)))
     result, expected = (render(grey(LEAF), view)["electrons"] for view in (other, camera))
     assert result == pytest.approx(expected, rel=1e-5)
-
-
-@pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "1e999", "-0.5", "", "red", "1,2"])
-def test_invalid_spectrum_file_gives_a_one_line_error(tmp_path, cell):
-    # A copy of the shipped flash with one invalid cell in its spectrum.
-    copy = shutil.copytree(shipped_folder("materials") / "flashes", tmp_path / "flashes")
-    table = copy / "spectra" / "lumileds_cool_white.csv"
-    lines = table.read_text().splitlines()
-    header = next(i for i, line in enumerate(lines) if line.startswith("wavelength_nm"))
-    lines[header + 20] = f"{lines[header + 20].split(',')[0]},{cell}"
-    table.write_text("\n".join(lines) + "\n")
-    arguments = ["--out", str(tmp_path / "out"), "--set", f"camera.flash={copy / 'led_matrix_200klx.toml'}"]
-    result = CliRunner().invoke(app, ["render", "demo", *arguments])
-    assert result.exit_code == EXIT_BAD_INPUT
-    assert result.stderr.startswith("error: ")
-    assert result.stderr.count("\n") == 1
-    assert table.name in result.stderr
-    assert not (tmp_path / "out").exists()

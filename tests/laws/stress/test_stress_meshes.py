@@ -138,15 +138,6 @@ def test_rejects_empty_meshes(arrays, outputs):
         Renderer(grey(replace(mesh, **empty), sky=EVEN_SKY)).render(axis_camera(4, 4), outputs)
 
 
-def test_renders_a_single_triangle():
-    corners = np.array([[[-1.0, -1.0, 0.5], [0.0, 1.0, 0.5], [1.0, -1.0, 0.5]]])
-    result = render(grey(triangles(corners), sky=EVEN_SKY), point_flash_camera(), "standard")
-    expected = render(grey(sheet(2.0, 2.0, 0.5, "leaf"), sky=EVEN_SKY), point_flash_camera(), "standard")
-    assert (result["class"] > 0).all()
-    assert result["electrons"] == pytest.approx(expected["electrons"], rel=0.2)
-    assert result["electrons"].mean() == pytest.approx(expected["electrons"].mean(), rel=0.01)
-
-
 @pytest.mark.parametrize("quality", ["draft", "standard"])
 def test_shows_only_the_sky_if_everything_is_behind_the_camera(quality):
     behind, far = sheet(0.2, 0.2, -0.5, "leaf"), sheet(1e-3, 1e-3, -5e3, "leaf")

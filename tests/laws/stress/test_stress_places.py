@@ -10,12 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import EVEN_SKY, axis_camera, body, card, point_flash_camera, sheet, sphere
+from bodies import EVEN_SKY, axis_camera, card, point_flash_camera, sheet, sphere
 from greenhouse import camera as greenhouse_camera
 from greenhouse import greenhouse
 from scipy.spatial.transform import Rotation
 from strain import OUTPUTS, grey, moved, render, scaled, surface
-from trimesh.creation import cylinder
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import concatenate_meshes
@@ -120,31 +119,6 @@ def pose_of(rotation: np.ndarray, position: tuple[float, float, float]) -> np.nd
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
     return pose
-
-
-@pytest.mark.parametrize("camera", [point_flash_camera(), axis_camera(16, 12)], ids=["point", "matrix"])
-@pytest.mark.parametrize("angle", [0.0, np.pi / 2, 0.7])
-@pytest.mark.parametrize("shift", [0.0, 1e-7, -1e-7])
-def test_camera_in_the_plane_of_a_leaf(camera, angle, shift):
-    # Within rounding, it may see the leaf or not.
-    pose = pose_of(Rotation.from_euler("y", angle).as_matrix(), (0.0, 0.0, 0.5 + shift))
-    scene = assemble_scene(sheet(0.2, 0.2, 0.5, "leaf"), {"leaf": surface("leaf", 0.4, 0.4, 1.4)}, EVEN_SKY)
-    render(scene, camera.at_pose(pose), "standard")
-
-
-@pytest.mark.parametrize("camera", [point_flash_camera(), axis_camera(16, 12)], ids=["point", "matrix"])
-@pytest.mark.parametrize("turn", [0.0, 0.5, 1.0, 1.5])
-def test_camera_on_a_stem(camera, turn):
-    # On the surface of a stem of 5 mm radius; the optical axis turns from +x, away from the stem, to -x.
-    stem = body(cylinder(0.005, 0.4, sections=64), "stem", OrganClass.STEM)
-    scene = assemble_scene(stem, {"stem": surface("stem", 0.4, 0.0, 1.4)}, EVEN_SKY)
-    cosine, sine = np.cos(turn * np.pi), np.sin(turn * np.pi)
-    rotation = np.array([[0.0, -sine, cosine], [0.0, cosine, sine], [-1.0, 0.0, 0.0]])
-    frame = render(scene, camera.at_pose(pose_of(rotation, (0.005, 0.0, 0.0))), "standard")
-    # Looking away it sees only the sky, unless the stem's own surface is hit at distance 0.
-    if turn == 0.0:
-        assert (frame["distance"][frame["class"] > 0] < 1e-6).all()
-        assert frame["electrons"].max() > 0.0
 
 
 def test_flash_follows_the_inverse_square_law_down_to_a_fifth_of_a_millimetre():
