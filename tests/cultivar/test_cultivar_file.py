@@ -1,7 +1,5 @@
 """Cultivar files: the shipped one has the values of Table 1, and errors of a file name its key."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The page on cultivar files names every key, and the files that it shows are valid."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -3,8 +3,6 @@
 Independent reference: scipy.stats. Sampling tests state their significance; seeds are fixed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files that extend files, kinds that are like other kinds, and which file an error names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +16,6 @@ def write(folder: Path, name: str = "child.toml", **tables: Any) -> Path:
     defaults = {"extends": "kaite", "name": "Child", "source": "x"}
     path.write_text(tomli_w.dumps(defaults | tables), encoding="utf-8")
     return path
-
-
-def test_an_empty_child_equals_its_parent(kaite: Cultivar, tmp_path: Path) -> None:
-    child = load_cultivar(write(tmp_path))
-    assert child.name == "Child"
-    assert (child.organs, child.stem, child.pigments) == (kaite.organs, kaite.stem, kaite.pigments)
 
 
 def test_distributions_are_replaced_and_tables_merged(kaite: Cultivar, tmp_path: Path) -> None:
@@ -137,3 +129,79 @@ def test_raises_on_a_cycle_or_a_long_chain(tmp_path: Path) -> None:
     assert len(cultivar_files(chain[18])) == 20
     with pytest.raises(InputError, match="or is longer than 20 files"):
         load_cultivar(chain[19])
+
+
+# --- faults -------------------------------------------------------------------------------------------------
+
+
+INCOMPLETE_PIGMENTS = """
+[pigments.fruit]
+chosen = "x"
+ior = 1.45
+roughness = [0.1, 0.1]
+start.structure_n = 1.0
+start.chlorophyll_ug_cm2 = 10
+start.carotenoid_ug_cm2 = 4
+start.water_cm = 0.02
+start.dry_matter_g_cm2 = 0.004
+"""
+OWN_FAULTS = {
+    "incomplete pigments": ("red_blocky", INCOMPLETE_PIGMENTS, "pigments.fruit.end"),
+    "another form": ("tomato", '[organs.lamina]\nform = "stalk"', "organs.lamina.length"),
+    "like another form": (
+        "kaite",
+        '[organs.bract]\nlike = "lamina"\nform = "peduncle"\n',
+        "organs.bract.diameter",
+    ),
+    "new slot without an azimuth": (
+        "kaite",
+        '[[organs.node.bears]]\nname = "second"\nwhat = { petiole = 1, chosen = "x" }',
+        "organs.node.bears.5.azimuth",
+    ),
+    "new kind without a form": ("kaite", "[organs.thorn]\nsize_correlation = 0.5", "organs.thorn"),
+    "stem of an unknown node": ("kaite", '[stem]\nnode = "nod"', "stem.node"),
+    "teeth of a pinnate blade": (
+        "kaite",
+        '[organs.lamina]\nteeth = { value = 20, chosen = "x" }',
+        "organs.lamina",
+    ),
+    "unknown table": ("kaite", "[leaf]\nlength = 3", "leaf"),
+}
+
+
+@pytest.mark.parametrize("fault", OWN_FAULTS)
+def test_a_fault_of_the_extending_file_names_that_file(fault: str, tmp_path: Path) -> None:
+    extended, text, key = OWN_FAULTS[fault]
+    mine = tmp_path / "mine.toml"
+    mine.write_text(f'extends = "{extended}"\n{text}\n')
+    with pytest.raises(InputError) as caught:
+        load_cultivar(mine)
+    assert caught.value.where == str(mine)
+    assert caught.value.key == key
+
+
+PARENT_FAULTS = {
+    "pigments": (INCOMPLETE_PIGMENTS, "", "pigments.fruit.end"),
+    "organ of the same form": (
+        "[organs.fruit.diameter]\nmean_mm = -3",
+        '[organs.fruit]\nform = "fruit"',
+        "organs.fruit.diameter",
+    ),
+    "slot": (
+        '[[organs.node.bears]]\nname = "leaf"\nlift = "up"',
+        '[[organs.node.bears]]\nname = "leaf"\nfirst = 3',
+        "organs.node.bears.0.lift",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", PARENT_FAULTS)
+def test_a_fault_of_the_extended_file_names_that_file(fault: str, tmp_path: Path) -> None:
+    faulty, good, key = PARENT_FAULTS[fault]
+    parent, mine = tmp_path / "parent.toml", tmp_path / "mine.toml"
+    parent.write_text(f'extends = "kaite"\n{faulty}\n')
+    mine.write_text(f'extends = "parent.toml"\n{good}\n')
+    with pytest.raises(InputError) as caught:
+        load_cultivar(mine)
+    assert caught.value.where == str(parent)
+    assert caught.value.key == key

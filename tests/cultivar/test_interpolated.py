@@ -1,7 +1,5 @@
 """Interpolation between growth stages: quantiles, probabilities, numbers and pigments are linear."""
 
-from __future__ import annotations
-
 import datetime
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bites and tears of margins, and blades that roll up and dry."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

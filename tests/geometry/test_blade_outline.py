@@ -1,7 +1,5 @@
 """Outline, triangles, normals and texture coordinates of blades."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contacts are found by sample points in fruit and stems, and counted by class and parent."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from contact_meshes import RADIUS, count_contacts, grown, resolved, scene, shifted
@@ -98,17 +96,6 @@ def test_contacts_are_counted_by_class_and_parent() -> None:
     ground = rectangle([0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0])
     scenery = scene((fruit, OrganClass.PEPPER, "fruit", -1), (ground, OrganClass.BACKGROUND, "film", -1))
     assert count_contacts(scenery).fruit_touching == 0
-
-
-def test_boxes_that_overlap_are_all_found() -> None:
-    organs = Organs(grown()[1])
-    leaves, others = organs.of_class(int(OrganClass.LEAF)), np.flatnonzero(organs.solid)
-    row, column = organs.close_pairs(leaves, others, 0.003)
-    overlap = np.all(organs.low[leaves][:, None] < organs.high[others] + 0.003, axis=2)
-    overlap &= np.all(organs.high[leaves][:, None] > organs.low[others] - 0.003, axis=2)
-    assert set(zip(row.tolist(), column.tolist(), strict=True)) == set(
-        zip(*(places.tolist() for places in np.nonzero(overlap)), strict=True)
-    )
 
 
 def test_organs_moved_together_are_where_they_are_moved_alone() -> None:

@@ -1,13 +1,11 @@
-"""Contacts are resolved by small rotations of rigid organs about their joints."""
-
-from __future__ import annotations
+"""Contacts are resolved by small rotations of rigid organs about their joints, or leaves are left out."""
 
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
-from contact_meshes import RADIUS, count_contacts, grown, leafy_node, resolved, shifted
+from contact_meshes import RADIUS, count_contacts, grown, leafy_node, resolved, scene, shifted
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import (
@@ -15,11 +13,15 @@ from pepperscene.geometry import (
     concatenate_meshes,
     mesh_plant,
     move_plant,
+    rectangle,
     resolve_contacts,
+    sphere,
 )
+from pepperscene.geometry.contacts.compiled import compiled
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.geometry.contacts.joints import units_of
-from pepperscene.geometry.contacts.leaves import nested_units
+from pepperscene.geometry.contacts.leaf_crossings import deep_pairs, superfluous_leaves
+from pepperscene.geometry.contacts.leaves import LeafSolver, nested_units
 from pepperscene.geometry.contacts.organs import LEAF, Organs
 from pepperscene.geometry.contacts.resolve import ContactSolver, _Round
 
@@ -223,18 +225,6 @@ def test_distant_units_move_together_as_each_would_alone() -> None:
         np.testing.assert_allclose(together.moving.angles[places], alone.moving.angles, atol=1e-6)
 
 
-def test_units_near_a_moved_one_wait() -> None:
-    """Many contacts are resolved at once; those near a unit that has just moved are left for later."""
-    solver, attempt = solver_and_round()
-    contacts = solver._find_contacts()
-    before = solver.detector.counts()
-    waiting = solver._resolve_some(contacts, attempt)
-    assert 0 < len(waiting) < len(contacts)
-    moved = {motion.instance for motion in solver.moving.motions}
-    assert (solver.detector.depths(*contacts.T) < 0.0).sum() > 0.5 * len(moved)
-    assert solver.detector.counts().fruit_touching < before.fruit_touching
-
-
 def test_units_that_share_organs_clash_wherever_they_move() -> None:
     """A shoot and a leaf on it must not move in the same pass: each is tried with the other at rest."""
     organs = Organs(grown()[1])
@@ -249,3 +239,87 @@ def test_units_that_share_organs_clash_wherever_they_move() -> None:
     assert pairs == {
         (a, b) for a, b in combinations(range(len(units)), 2) if set(units[a].members) & set(units[b].members)
     }
+
+
+# --- leaves that are deep in others -------------------------------------------------------------------------
+
+
+NODE, STALK, BLADE = OrganClass.STEM, OrganClass.SHOOT, OrganClass.LEAF
+
+
+def sheet(width: float, x: float = 0.0, upright: bool = False) -> Mesh:
+    across = [0.0, 0.0, width] if upright else [0.0, width, 0.0]
+    return rectangle([x, 0.0, 1.0], [width, 0.0, 0.0], across)
+
+
+def leaves(*blades: Mesh) -> Mesh:
+    """A node, and one leaf stalk for each blade: instances 1, 3, 5 and 2, 4, 6."""
+    parts = [(sphere([0.0, 0.0, 0.5], 0.01), NODE, "node", -1)]
+    for number, blade in enumerate(blades):
+        stalk = sphere([0.3 + number, 0.0, 0.5], 0.003)
+        parts += [(stalk, STALK, "petiole", 0), (blade, BLADE, "lamina", 2 * number + 1)]
+    return scene(*parts)
+
+
+@pytest.mark.parametrize(("overlap", "is_deep"), [(0.001, False), (0.01, True)])
+def test_depth_is_the_shortest_way_out(overlap: float, is_deep: bool) -> None:
+    """An upright sheet that overlaps a level one at its edge: the way out is as long as the overlap."""
+    mesh = leaves(sheet(0.1), shifted(sheet(0.1, upright=True), 0.1 - overlap))
+    pairs = np.array([[2, 4]])
+    assert len(deep_pairs(Organs(mesh), pairs)) == is_deep
+
+
+def test_the_leaf_that_is_deep_in_most_others_goes_with_its_stalk() -> None:
+    organs = Organs(leaves(sheet(0.1), sheet(0.12), sheet(0.08)))
+    assert superfluous_leaves(organs, np.array([[2, 4], [4, 6]])).tolist() == [3, 4]
+    assert superfluous_leaves(organs, np.empty((0, 2), dtype=np.intp)).tolist() == []
+
+
+def test_of_two_leaves_the_smaller_one_goes() -> None:
+    organs = Organs(leaves(sheet(0.1), sheet(0.12)))
+    assert superfluous_leaves(organs, np.array([[2, 4]])).tolist() == [1, 2]
+
+
+def test_stems_and_stalks_of_several_leaves_stay() -> None:
+    mesh = leaves(sheet(0.1), sheet(0.12))
+    shared = replace(mesh.instances[4], parent=1)
+    mesh = replace(mesh, instances=(*mesh.instances[:4], shared))
+    organs = Organs(mesh)
+    assert superfluous_leaves(organs, np.array([[0, 2]])).tolist() == [2]
+    assert superfluous_leaves(organs, np.array([[0, 1]])).tolist() == []
+
+
+def test_organs_without_triangles_keep_their_numbers() -> None:
+    mesh = leaves(sheet(0.1), sheet(0.12))
+    part = mesh.without_triangles(np.array([1, 2]))
+    assert part.instances == mesh.instances
+    assert np.unique(part.face_instance).tolist() == [0, 3, 4]
+    for organ in (0, 3, 4):
+        before, after = (each.vertices[each.faces[each.face_instance == organ]] for each in (mesh, part))
+        np.testing.assert_array_equal(before, after)
+    assert np.array_equal(np.unique(part.faces), np.arange(len(part.vertices)))
+
+
+def test_only_rows_lose_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two crossed sheets that nothing moves: a plant alone keeps both, a row loses the smaller one."""
+    monkeypatch.setattr(LeafSolver, "_run_pass", lambda *_: np.empty(0, dtype=np.intp))
+    alone = leaves(sheet(0.2), sheet(0.1, upright=True))
+    owners = tuple(replace(item, plant=int(number > 2)) for number, item in enumerate(alone.instances))
+    row = replace(alone, instances=owners)
+    result, kept = (
+        resolve_contacts(mesh, np.random.default_rng(0), between_plants=mesh is row) for mesh in (row, alone)
+    )
+    assert (result.left_out, kept.left_out) == ((3, 4), ())
+    assert np.unique(result.mesh.face_instance).tolist() == [0, 1, 2]
+    assert result.mesh.instances == row.instances
+    assert (result.contacts.blades, kept.contacts.blades) == (1, 2)
+
+
+# --- compiled functions -------------------------------------------------------------------------------------
+
+
+def test_functions_without_a_folder_for_their_code_are_compiled() -> None:
+    """The code of a function that was not read from a file has no folder."""
+    names: dict[str, object] = {}
+    exec("def add(a, b):\n    return a + b", names)
+    assert compiled(names["add"])(2, 3) == 5

@@ -1,7 +1,5 @@
 """Crossings of organs: counts and costs agree with those from all pairs of triangles and all poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

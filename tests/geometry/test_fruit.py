@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
@@ -188,13 +186,3 @@ def test_bent_axis_moves_the_tip_and_not_the_shoulders():
     # An arc over seven tenths of the length that ends 0.6 rad off leaves its tangent by a third of that.
     assert moved[np.argmax(depth)] == pytest.approx(0.7 * 0.148 * (1.0 - np.cos(0.6)) / 0.6, rel=0.1)
     assert merged(bent).volume == pytest.approx(merged(straight).volume, rel=0.01)
-
-
-def test_fruit_without_furrows_is_round_and_a_lobed_one_fills_more_of_its_box():
-    def filled(depth):
-        mesh = mesh_organs(fruit(length_m=0.06, diameter_m=0.07, lobe_depth=depth, shoulder=0.15, taper=0.97))
-        return merged(mesh).volume / (0.06 * 0.07**2)
-
-    # An ellipsoid fills pi / 6 = 0.524, a cylinder pi / 4.
-    assert filled(0.03) == pytest.approx(np.pi / 6.0, rel=0.06)
-    assert 1.01 * filled(0.03) < filled(0.9) < np.pi / 4.0

@@ -1,7 +1,5 @@
 """Mesh files as other readers see them: trimesh, and an OBJ parser of a dozen lines."""
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import replace
@@ -202,16 +200,6 @@ def test_grown_plants_have_their_natural_colours(natural):
     assert natural[ripest][0] > 2 * natural[ripest][1], "ripe fruit is red"
     twine = next(rgb for name, rgb in natural.items() if name.startswith("twine_"))
     assert twine.min() > 0.3, "twine is white"
-
-
-def test_natural_colours_are_those_of_the_cultivar(tomato, natural):
-    other = mesh_plant(grow(load_cultivar("orange_pointed"), np.random.default_rng(3)), 0.1)
-    orange = base_colours(mesh_files(other, "a.glb")["a.glb"])
-    assert any(np.abs(orange[name] - natural[name]).max() > 0.02 for name in orange.keys() & natural.keys())
-    both = concatenate_meshes([tomato, other])
-    with pytest.raises(ArgumentError, match='colours: must be "class" or a table for a mesh with plants of'):
-        mesh_files(both, "a.glb")
-    assert base_colours(mesh_files(both, "a.glb", "class")["a.glb"])
 
 
 def test_class_colours_are_given_on_request(tomato):

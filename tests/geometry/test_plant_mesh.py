@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ from organ_meshes import KINDS, check_mesh, check_solid, merged, mesh_organs, or
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.organs import FORMS
-from pepperscene.geometry import concatenate_meshes, mesh_plant
+from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import grow
 
 
@@ -104,18 +102,6 @@ def test_mesh_of_a_grown_plant_is_sound_and_its_solids_are_closed():
 def test_raises_on_wrong_input(organs, detail, message):
     with pytest.raises(ValueError, match=message):
         mesh_organs(*organs, detail=detail)
-
-
-def test_concatenation_renumbers_faces_instances_and_surfaces():
-    first, second = mesh_organs(*ONE_OF_EACH), mesh_organs(blade(), fruit())
-    both = concatenate_meshes([first, second])
-    assert len(both.faces) == len(first.faces) + len(second.faces)
-    np.testing.assert_array_equal(both.faces[len(first.faces) :], second.faces + len(first.vertices))
-    assert both.instances[len(first.instances)].kind == "blade"
-    assert both.instances[4].parent == first.instances[4].parent
-    tail = both.face_surface[len(first.faces) :]
-    assert [both.surfaces[i] for i in tail] == [second.surfaces[i] for i in second.face_surface]
-    check_mesh(both)
 
 
 @given(

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -85,12 +83,3 @@ def test_resampling_many_curves_equals_numpy_interpolation():
         for axis in range(3):
             alone = np.interp(at, distance[row], points[row, :, axis])
             np.testing.assert_allclose(together[row, :, axis], alone, atol=1e-11)
-
-
-def test_placed_points_are_in_the_interpolated_frames():
-    spine = spines([np.array([[0.0, 0, 0], [0.3, 0, 0.4], [1.0, 0.2, 0.3]])], [UP], 12)
-    along = np.linspace(-0.1, 1.2, 7)[None] * spine.lengths[:, None]
-    point, normal, binormal = spine.frames(along)
-    placed = spine.place(along, np.full((1, 7), 0.2), np.full((1, 7), -0.1))
-    np.testing.assert_allclose(placed, point + 0.2 * binormal - 0.1 * normal, atol=1e-15)
-    np.testing.assert_allclose(np.linalg.norm(np.cross(normal, binormal), axis=2), 1.0, atol=5e-3)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -56,14 +54,6 @@ def depth_in(solids, points):
         if near.size:
             depth[near] = np.maximum(depth[near], trimesh.proximity.signed_distance(solid, points[near]))
     return depth
-
-
-def test_twine_touches_the_stem_all_the_way():
-    mesh = twine_mesh(STEM, 0.0045, 0.001, turns_per_m=3.0, phase_rad=0.4, above_m=0.0)
-    distance = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1])
-    inner = (mesh.vertices[:, 2] > 0.01) & (mesh.vertices[:, 2] < 1.99)
-    assert distance[inner].min() == pytest.approx(0.0045, abs=2e-4)
-    assert distance[inner].max() == pytest.approx(0.0065, abs=2e-4)
 
 
 @pytest.mark.parametrize(("radius", "turns"), [(0.002, 4.0), (0.0005, -2.0)])

@@ -1,7 +1,5 @@
 """Plants that many tests measure."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,9 +1,5 @@
 """Consistency of a plant: what grows where, and how parts join."""
 
-from __future__ import annotations
-
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -49,16 +45,6 @@ def test_parents_are_those_of_the_file_and_come_first(
                     assert parent.kind in allowed[organ.kind]
             if index:
                 assert organ.phytomer == parent.phytomer + (organ.kind == "internode")
-
-
-def test_internodes_and_nodes_alternate_and_join(kaite: Cultivar, plants: list[Plant]) -> None:
-    for plant in plants[:40]:
-        stem = [organ for organ in plant.organs if organ.kind in ("internode", "node")]
-        assert [organ.kind for organ in stem] == ["internode", "node"] * kaite.stem.parts
-        assert [organ.phytomer for organ in stem[::2]] == list(range(kaite.stem.parts))
-        for below, above in pairwise(stem):
-            assert plant.organs[above.parent] is below
-            np.testing.assert_allclose(above.curve[0], below.curve[-1], rtol=0, atol=1e-12)
 
 
 def test_curves_start_on_their_parents(both_crops: list[Plant]) -> None:

@@ -4,8 +4,6 @@ Rationale: only the forms are fixed. Set-up: the shipped tomato, and sweet peppe
 Expected: what the file says, by count and by angle; chi-squared at the significance 0.001.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from itertools import pairwise
 from pathlib import Path
@@ -102,21 +100,6 @@ def test_leaflets_leave_their_rachis_at_the_stated_angle(tomato: Cultivar, tomat
     error = 4 * aside.sd / np.sqrt(len(angles))
     assert np.mean(angles) == pytest.approx(aside.mean, abs=error + np.radians(0.5))
     assert np.std(angles) == pytest.approx(aside.sd, rel=0.1)
-
-
-def test_leaflets_are_in_the_plane_of_their_leaf(tomatoes: list[Plant]) -> None:
-    # Roll, fold and twist vary about it; random orientations would be far from it.
-    cosines = []
-    for plant in tomatoes[:20]:
-        for organ in plant.of_kind("petiolule"):
-            rachis = plant.organs[organ.parent]
-            step = np.diff(rachis.curve, axis=0)
-            tangent = step[round(position(rachis, organ) * (len(step) - 1))]
-            up = np.cross(np.cross(tangent, [0.0, 0.0, 1.0]), tangent)
-            along = organ.curve[1] - organ.curve[0]
-            up -= (up @ along) / (along @ along) * along
-            cosines.append(organ.up @ up / np.linalg.norm(up))
-    assert np.min(cosines) > 0.9
 
 
 def test_trusses_are_at_every_third_node(tomato: Cultivar, tomatoes: list[Plant]) -> None:

@@ -1,7 +1,5 @@
 """Extreme cultivars give finite organs that are connected."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -91,17 +89,6 @@ def test_any_number_of_nodes(name: str, parts: int, young: int) -> None:
     plant = grow(with_stem(load_cultivar(name), parts=parts, young_nodes=young), np.random.default_rng(7))
     assert_is_sound(plant)
     assert len(plant.of_form("node")) == len(plant.of_form("internode")) == parts
-
-
-@pytest.mark.parametrize(
-    ("kind", "parameter", "value"), [("lamina", "length", 1e-3), ("fruit", "diameter", 0.3)]
-)
-def test_tiny_leaves_and_huge_fruit(kaite: Cultivar, kind: str, parameter: str, value: float) -> None:
-    size = Distribution(family="value", mean=value, sd=0.0, low=value, high=value, chosen="for a test")
-    plant = grow(with_organ(kaite, kind, **{parameter: size}), np.random.default_rng(1))
-    assert_is_sound(plant)
-    sizes = [o.measures[f"{parameter}_m"] for o in plant.of_kind(kind) if o.phytomer < 36]
-    assert sizes == [value] * len(sizes)
 
 
 def test_internodes_shorter_than_their_nodes_run_upwards(kaite: Cultivar) -> None:

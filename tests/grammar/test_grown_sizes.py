@@ -7,8 +7,6 @@ four standard errors of the stated ones (a correct program fails one such test i
 at the significance 0.001.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator

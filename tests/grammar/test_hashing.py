@@ -4,8 +4,6 @@ Rationale: all random variation of plants comes from one hash. Set-up: addresses
 Expected: chi-squared tests over addresses, and over pairs of numbers, at the significance 0.001.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats

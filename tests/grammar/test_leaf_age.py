@@ -1,7 +1,5 @@
 """Residue, ageing and damage of leaves: their distributions, and their relation to height and age."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

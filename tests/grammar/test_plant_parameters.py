@@ -1,7 +1,5 @@
 """A plant's parameters can be drawn, changed and built."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

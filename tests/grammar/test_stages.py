@@ -1,7 +1,5 @@
 """A plant at two dates is the same plant, grown: growth stages share every random number."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pepperscene.cultivar import Cultivar, Distribution, interpolate_cultivars, load_cultivar
@@ -60,19 +58,6 @@ def test_a_small_step_in_time_moves_organs_a_little(kaite: Cultivar) -> None:
     )
     moved = [np.abs(a.curve - b.curve).max() for a, b in zip(before.organs, after.organs, strict=True)]
     assert 0.0 < max(moved) < 0.02
-
-
-def test_a_taller_plant_has_the_same_organs_below(kaite: Cultivar) -> None:
-    tall = kaite.model_copy(update={"stem": kaite.stem.model_copy(update={"parts": 50})})
-    # Cuts and fruit depend on the height; all other organs are the same.
-    kinds = ("petiole", "lamina", "side_shoot")
-    organs = []
-    for cultivar in (kaite, tall):
-        plant = grow(cultivar, np.random.default_rng(6))
-        organs.append(
-            sorted((o.phytomer, o.kind) for o in plant.organs if o.kind in kinds and o.phytomer < 40)
-        )
-    assert organs[0] == organs[1]
 
 
 def test_more_fruit_keeps_the_nodes_of_less_fruit(kaite: Cultivar) -> None:

@@ -1,17 +1,10 @@
 """Adaptive sampling and denoising cause no visible bias.
 
-Rationale: samples that depend on earlier ones bias means (a pixel whose first samples missed a detail keeps
-its value), and a denoiser redistributes light. Both are hidden by the noise of a single frame.
-
-Set-up: the mean over 64 seeds of frames of the standard quality, against a reference of many samples in
-every pixel, six bounces and no denoiser. Differences are in codes after the tone curve, of the mean light.
-
-Expected: less than .3 codes in the mean of each colour, and 1 % in the light of every class of the ground
-truth; 1.5 % in a small image, where more of each class is at its edges. In single pixels the smoothing of
-the denoiser remains: its root mean square is reported, from two halves of frames and of the reference.
+Samples that depend on earlier ones bias means, and a denoiser redistributes light; both are hidden by the
+noise of a single frame. The mean over 64 seeds of standard frames is compared with a reference of many
+samples in every pixel, six bounces and no denoiser, in codes after the tone curve: less than .3 in the mean
+of each colour, and 1 % in the light of every class. The smoothing that remains in pixels is reported.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 

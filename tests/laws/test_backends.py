@@ -1,20 +1,10 @@
 """Frames of the CPU and of the GPU agree, and a variant gives the same bits in every process.
 
-Rationale: a data set may be built partly on machines with a GPU and partly without. Both variants of Mitsuba
-trace the same samples, which depend on pixel, index and seed alone, but round differently: fused operations,
-other intersection code. A ray near an edge may then hit another surface, and take another path from there.
-
-Set-up: two plants by flash and by daylight, 112x84 pixels, light without denoiser and labels, by each variant
-of Mitsuba in a process of its own. The variant of this process serves as its own control. Variants that do
-not run on this machine are skipped, with the reason.
-
-Expected: the same variant gives the same bits. Another one gives the same class and instance, and a
-distance within 1e-4, in all but 1e-3 of the pixels; in nine of ten pixels electrons within 1e-3 of the
-mean; and means of channels within 2e-3 of each other, because the remaining pixels have other samples of
-the same light.
+Both variants of Mitsuba trace the same samples but round differently, and a ray near an edge may then take
+another path: the same class and instance, and a distance within 1e-4, in all but 1e-3 of the pixels;
+electrons within 1e-3 of the mean in nine of ten; means of channels within 2e-3. Variants that do not run on
+this machine are skipped.
 """
-
-from __future__ import annotations
 
 import numpy as np
 import pytest

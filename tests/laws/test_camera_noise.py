@@ -4,8 +4,6 @@ A bound of SIGMAS standard errors fails a correct program once in a million runs
 run has the same result.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -56,15 +54,6 @@ def test_shot_noise_has_the_mean_variance_and_skewness_of_poisson(mean):
         assert abs(stats.skew(counts) - mean**-0.5) < SIGMAS * np.sqrt(6 / n) + 0.02 * mean**-0.5
 
 
-def test_few_electrons_are_poisson_integers():
-    counts = shot_noise(np.full(200_000, 4.0, np.float32), np.random.default_rng(12))
-    assert np.all(counts == np.rint(counts))
-    histogram = np.bincount(counts.astype(int), minlength=13)
-    expected = stats.poisson.pmf(np.arange(12), 4.0) * counts.size
-    observed = np.append(histogram[:12], histogram[12:].sum())
-    assert stats.chisquare(observed, np.append(expected, counts.size - expected.sum())).pvalue > 1e-6
-
-
 @pytest.mark.parametrize("mean", [32.5, 3000.0])
 def test_many_electrons_follow_the_poisson_distribution(mean):
     # With the continuity correction, the distribution functions differ by less than 2e-3, which is less than
@@ -86,38 +75,6 @@ def test_noise_of_photosites_is_uncorrelated():
 
 
 # --- photon transfer ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("name", "gain"), [(SENSORS[0], 2.0), (SENSORS[1], 1.0)])
-def test_photon_transfer_recovers_gain_and_read_noise(name, gain):
-    # Janesick: the variance increases with the mean by 1/K, and is (read noise / K)^2 + 1/12 at zero light.
-    # Power: 8 levels of 10^6 photosites; each variance is known to sqrt(2 / 10^6) = 0.14 %, and levels around
-    # the square of the read noise, where shot and read noise are equal, determine the intercept. The fit's
-    # own standard errors are asserted to be below 0.5 %, a quarter of the bound.
-    sensor = cropped_sensor(name, sites=1000, gain=gain)
-    full = sensor.full_well_e / gain
-    levels = [
-        *(sensor.read_noise_e**2 * np.array([0.5, 1, 2])),
-        *(full * np.array([0.15, 0.3, 0.45, 0.6, 0.75])),
-    ]
-    frames = [flat_frame(sensor, level, seed) for seed, level in enumerate(levels, 30)]
-    mean = np.array([frame.mean() - sensor.black_level_dn for frame in frames])
-    variance = np.array([frame.var() for frame in frames])
-    error = variance * np.sqrt(2 / frames[0].size)
-    (slope, intercept), covariance = np.polyfit(mean, variance, 1, w=1 / error, cov="unscaled")
-
-    gain_fit, read_fit = 1 / slope, np.sqrt(intercept - 1 / 12) / slope
-    # Of the read noise: half that of the intercept, and that of the slope, whose errors oppose each other.
-    gradient = np.array([-1 / slope, 0.5 / (intercept - 1 / 12)])
-    gain_error, read_error = np.sqrt(covariance[0, 0]) / slope, np.sqrt(gradient @ covariance @ gradient)
-    assert max(gain_error, read_error) < 0.005
-    gain_e_per_dn = full / (2**sensor.bits - 1 - sensor.black_level_dn)
-    for fitted, true, error in (
-        (gain_fit, gain_e_per_dn, gain_error),
-        (read_fit, sensor.read_noise_e, read_error),
-    ):
-        assert fitted == pytest.approx(true, rel=0.02)
-        assert fitted == pytest.approx(true, rel=SIGMAS * error)
 
 
 @pytest.mark.parametrize("name", AVERAGED)
@@ -177,14 +134,6 @@ def test_saturated_photosites_have_no_shot_noise(name):
     middle = low.black_level_dn + (low.full_scale_dn - low.black_level_dn) / 2
     assert abs(frame.mean() - middle) < SIGMAS * deviation / np.sqrt(frame.size)
     assert abs(frame.std() / deviation - 1) < SIGMAS / np.sqrt(2 * frame.size) + 0.01
-
-
-def test_gain_of_2_saturates_at_half_the_electrons():
-    sensor = cropped_sensor(SENSORS[0], sites=40, gain=2.0)
-    half = sensor.full_well_e / 2
-    assert np.all(flat_frame(sensor, half) == sensor.full_scale_dn)
-    assert np.all(flat_frame(sensor, half - 2 * sensor.gain_e_per_dn) == sensor.full_scale_dn - 2)
-    assert np.all(flat_frame(sensor, 10 * half) == sensor.full_scale_dn)
 
 
 # --- converter ----------------------------------------------------------------------------------------------

@@ -1,24 +1,10 @@
 """Resolved plants have no intersecting organs, according to FCL through trimesh's collision manager.
 
-Rationale: `geometry.resolve_contacts` separates organs with radial tables, points and capsules; FCL (Pan,
-Chitta & Manocha 2012, "FCL: a general purpose library for collision and proximity queries") tests triangles
-against triangles, independently.
-
-Set-up: every organ is a bounding-volume tree of its final triangles. A fruit has a contact if one of its
-triangles intersects one of any organ except its own calyx and stalk: leaves, petioles, stems, twine, other
-fruit and their stalks, of its own plant or a neighbour.
-
-Expected: less than 1 % of the fruit have a contact. Power: with none among n fruit, the rate is below 3 / n
-at 95 % confidence (rule of three); 22 plants with fixed seeds have some 320 fruit. The study marked `long`
-has ten times as many, enough to distinguish 1 % from .5 %: it asserts the upper end of the one-sided 95 %
-interval (Clopper & Pearson 1934).
-
-Leaves: a blade touches another blade or a leaf stalk if triangles of both intersect; a blade and its own
-stalk are joined. The penetration depth of two organs is the length of the shortest translation that separates
-them (Cameron & Culley 1986), here the shortest of some lengths in 100 directions, all tested by FCL.
+FCL (Pan, Chitta & Manocha 2012) tests triangles against triangles, independently of the tables, points and
+capsules of `resolve_contacts`. Fruit: less than 1 % touch an organ other than their own calyx and stalk; with
+none among n, the rate is below 3 / n at 95 % confidence. Leaves: the depth of two organs is the length of the
+shortest translation that separates them (Cameron & Culley 1986), here the shortest of some in 100 directions.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
@@ -32,9 +18,7 @@ from pepperscene.classes import OrganClass
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.geometry import (
     Mesh,
-    concatenate_meshes,
     mesh_plant,
-    rectangle,
     resolve_contacts,
 )
 from pepperscene.geometry.contacts.detect import ContactDetector
@@ -286,16 +270,6 @@ def test_leaves_of_a_plant_do_not_run_through_each_other(name: str, rate: float 
     assert deep < 0.01
 
 
-@pytest.mark.parametrize("distance", [0.02, 0.06])
-def test_separating_translation_of_crossed_sheets(distance: float) -> None:
-    """Two squares of 10 cm cross at right angles, 5 cm deep: 2 cm do not separate them, 6 cm do."""
-    sheets = [
-        rectangle([0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]),
-        rectangle([0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]),
-    ]
-    assert separates(concatenate_meshes(sheets), 0, 1, distance) == (distance > 0.05)
-
-
 def test_counted_blades_touch_stems(row: Mesh) -> None:
     ours, theirs = ContactDetector(row).counts().blades_touching, len(blades_through_stems(row))
     # Capsules are as thick as the tube's widest ring: they overestimate contacts.
@@ -309,3 +283,56 @@ def test_rate_of_contacts_is_below_one_percent_with_confidence(name: str) -> Non
     hits, total = count_fruit(resolved(cultivar, seed) for seed in range(1000, 1200))
     # One-sided 95 % confidence for a rate (Clopper & Pearson 1934).
     assert stats.beta.ppf(0.95, hits + 1, total - hits) < 0.01
+
+
+# --- settled rows -------------------------------------------------------------------------------------------
+
+
+DEPTH_M = 3e-3
+
+
+def settled_row(name: str) -> Mesh:
+    """Four plants in a double row, 20 cm from plant to plant and from row to row; few leaves are left out."""
+    plants = [
+        resolve_contacts(
+            unresolved(load_cultivar(name), seed), np.random.default_rng(seed), free_leaves=False
+        ).mesh
+        for seed in range(4)
+    ]
+    row = double_row(plants[:2], plants[2:], spacing_m=0.2, gap_m=0.2, shift_m=0.1)
+    result = resolve_contacts(row, np.random.default_rng(0), between_plants=True)
+    blades = len(of_class(row, OrganClass.LEAF))
+    left_out = [index for index in result.left_out if row.instances[index].organ_class == OrganClass.LEAF]
+    assert len(left_out) < 0.01 * blades
+    assert not np.isin(result.mesh.face_instance, result.left_out).any()
+    return result.mesh
+
+
+def stalks_through_stems(mesh: Mesh) -> Pairs:
+    """(leaf stalk, stem) whose triangles intersect, without the nodes and internodes next to its own."""
+    stems = of_class(mesh, OrganClass.STEM)
+    _, names = manager(mesh, of_class(mesh, OrganClass.SHOOT)).in_collision_other(
+        manager(mesh, stems), return_names=True
+    )
+    pairs = {(int(a), int(b)) for a, b in names}
+    return {(a, b) for a, b in pairs if not grows_beside(mesh, a, b)}
+
+
+def grows_beside(mesh: Mesh, stalk: int, stem: int) -> bool:
+    """Whether a stalk grows on a part of a stem, or on the part above or below."""
+    near = {index for index in (stem, mesh.instances[stem].parent) if index >= 0}
+    near |= {index for index, item in enumerate(mesh.instances) if item.parent == stem}
+    return bool(near & {stalk, mesh.instances[stalk].parent})
+
+
+LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("red_blocky", "kaite_old", "orange_pointed")]
+
+
+@pytest.mark.parametrize("name", ["kaite", *LONG])
+def test_no_leaf_of_a_row_is_deep_in_another(name: str) -> None:
+    mesh = settled_row(name)
+    with_blades, with_stalks = leaf_pairs(mesh)
+    touching = {blade for pair in with_blades for blade in pair}
+    assert len(touching) < 0.05 * len(of_class(mesh, OrganClass.LEAF))
+    pairs = with_blades | with_stalks | stalks_through_stems(mesh)
+    assert [pair for pair in sorted(pairs) if not separates(mesh, *pair, DEPTH_M)] == []

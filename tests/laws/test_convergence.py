@@ -4,8 +4,6 @@ Rationale: correlated random numbers, a weight that does not match its density, 
 leave images that look right. They are visible in the rate of convergence and in the mean.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Culling changes no labels and no visible light: complete scenes against culled ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

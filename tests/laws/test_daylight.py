@@ -3,8 +3,6 @@
 Solid angles of a map's texels are in closed form here; lux are integrated on 1 nm.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bodies import lux as lux_of
@@ -137,17 +135,6 @@ def test_lobe_is_centred_on_the_sun(azimuth_deg, elevation_deg):
     assert np.arctan2(mean[1], mean[0]) == pytest.approx(np.arctan2(north, east), abs=np.radians(0.5))
     in_front = energy[:, : columns // 2].sum() / energy.sum()  # azimuths of 0 to 180 degrees: +y
     assert in_front == pytest.approx({90.0: 1.0, 10.0: in_front}[azimuth_deg], abs=0.01)
-
-
-def test_unscattered_sunlight_stays_a_disc():
-    clear, half, full = sky_of(), sky_of(hazy(0.5)), sky_of(hazy(1.0))
-    assert half.sun.angular_radius == clear.sun.angular_radius
-    assert lux(half.sun.irradiance) == pytest.approx(0.5 * lux(clear.sun.irradiance), rel=1e-4)
-    assert full.sun is None
-    assert len(clear.weights) == 4
-    assert len(half.weights) == len(full.weights) == 5
-    # Without a sun there is no lobe.
-    assert len(sky_of(hazy(0.5), sun_fraction=0.0).weights) == 4
 
 
 def test_haze_smooths_the_scattered_fraction_of_clouds():

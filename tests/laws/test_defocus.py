@@ -1,7 +1,5 @@
 """Defocus against the geometry of a thin lens."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

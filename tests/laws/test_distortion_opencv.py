@@ -1,24 +1,10 @@
 """A checkerboard photographed through distorting lenses is where OpenCV projects it, in colour and labels.
 
-Rationale: distortion applied to the image afterwards shifts colour against labels and blurs; a wrong sign or
-half a pixel in the model is invisible and ruins every calibration made with the images.
-
-Set-up: 14 x 10 squares of 45 mm, matt black and white, at 48 cm, tilted by 20 and 10 degrees, fill most of
-the image. The image is divided by that of a white board of the same shape, which leaves black and white, 0
-and 1, and 16 samples a pixel between.
-
-Expected: OpenCV finds the corners in the image to sub-pixels (the saddle point of the light in a window) and
-projects the board's corners with the same intrinsics; neither whitenesss code with the renderer. OpenCV
-counts from the first pixel's centre, which is (.5, .5) here.
-
-Bounds: 117 corners; the worst must be below .1 pixels. The finder needs soft edges: on an exact image of this
-board it errs by up to .12 pixels, blurred with 1.5 pixels and in a window of 17 by up to .035 (root mean
-square .018); the renderer's 16 samples a pixel increase that to .060 (.028). In the mean of all corners this
-averages out, .002 pixels were left; it must be below .02. Half a pixel or a p1 wrong by .0002 exceeds that, a
-k1 wrong by 1 % shifts the border by .13 pixels.
+The image of 14 x 10 tilted squares, divided by that of a white board, gives the corners to sub-pixels, and
+OpenCV projects them with the same intrinsics; it counts from the first pixel's centre, which is (.5, .5)
+here. The finder errs by up to .035 pixels on an exact image and .060 with 16 samples: the worst of 117
+corners must be below .1, the mean below .02. Half a pixel or a p1 wrong by .0002 exceeds that.
 """
-
-from __future__ import annotations
 
 from dataclasses import astuple, replace
 

@@ -1,19 +1,10 @@
-"""The error that a frame reports is its true error.
+"""The error that a frame reports is its true error, within a factor of 2.2.
 
-Rationale: adaptive sampling stops at an estimate from a few samples per pixel. If that is wrong, frames are
-noisier than reported, or take longer than necessary.
-
-Set-up: three small scenes. The true error is the root mean square difference in codes to a reference, from
-the product of the differences to two independent halves of it, in which the reference's own noise cancels;
-codes are linearised about the reference, as in the estimate.
-
-Expected: within a factor of 2.2. Light that meets one surface alone follows Mitchell's equation and is
-reported within [.6, 1.8]. What the denoiser leaves of other light depends on the image: less where surfaces
-are large and uniform (sphere and leaf, reported / true 1.9), more where they are small (plants by flash .63,
-by daylight .74).
+The true error is the root mean square difference in codes to a reference, from the product of the differences
+to two independent halves of it, in which the reference's own noise cancels. Light that meets one surface
+alone follows Mitchell's equation and is reported within [.6, 1.8]; what the denoiser leaves of other light
+depends on the image (sphere and leaf, reported / true 1.9; plants by flash .63, by daylight .74).
 """
-
-from __future__ import annotations
 
 import numpy as np
 import pytest

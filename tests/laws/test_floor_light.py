@@ -1,7 +1,5 @@
 """Light on the floor below a crop: closed forms, and light traced through a canopy of random leaves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Flow and stereo lead to the same organs, with the visibility that an independent ray caster finds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

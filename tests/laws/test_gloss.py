@@ -1,7 +1,5 @@
 """Directional albedo of gloss against Fresnel, closed forms, finer quadrature and Mitsuba's surfaces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given

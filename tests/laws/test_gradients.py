@@ -4,8 +4,6 @@ Finite differences use the same random numbers. Paths do not depend on the param
 smooth function of them, and the tolerances are little more than the errors of single precision.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -364,11 +362,6 @@ def test_descent_recovers_the_chlorophyll_of_a_leaf(surfaces, kaite, start):
 def test_rejects_invalid_parameters(renderer, values, message):
     with pytest.raises(ValueError, match=message):
         renderer.rgb(values)
-
-
-def test_rejects_gradients_of_another_shape(renderer):
-    with pytest.raises(ValueError, match="16, 24, 3"):
-        renderer.backward({"flash.power": 1.0}, np.ones((16, 24)))
 
 
 def test_rejects_surfaces_of_another_cultivar(surfaces, camera):

@@ -1,7 +1,5 @@
 """Ground truth agrees with the pinhole formula and with an independent ray caster."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,15 +1,9 @@
 """The harvest truth of each fruit against an independent ray caster and its own triangles.
 
-Set-up: random fruit of several scenes and crops, seen through a distorting lens. Expected: rays of trimesh
-(an R-tree and triangle tests in double precision) through the pixels' centres hit the isolated fruit where
-the amodal mask is, and in the complete scene where the fruit is visible; the plane of the cut goes through
-the middle of the stalk's triangles; the attachment is on the surface of the parent organ.
-
-Casters may disagree where an outline passes a pixel's centre: the kernel's rays are exact to 1e-6 rad, 2e-4
-pixels here, so at one in some thousands of the pixels along an outline; one in 500 is allowed.
+Rays of trimesh through the pixels' centres hit the isolated fruit where the amodal mask is, and in the
+complete scene where it is visible; the cut goes through the middle of the stalk's triangles; the attachment
+is on the parent organ. Casters may disagree where an outline passes a pixel's centre: one in 500 is allowed.
 """
-
-from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace

@@ -1,17 +1,9 @@
 """Label edges coincide with the edges of the photograph, and misaligned labels are detected.
 
-Rationale: class and instance come from one ray through each pixel's centre, the photograph from light through
-a lens of finite aperture, a mosaic and its interpolation. Half a pixel between the two conventions, or a
-distortion applied to only one of them, would spoil every label and be visible in no single value.
-
-Set-up: three plants by flash and by daylight, 320x240 pixels of the middle of the image, with all noise of
-the camera. The statistic is that of `pepperscene check`, the correlation of both kinds of edges over shifts.
-
-Expected: the peak of true labels is at no shift and far above chance; that of labels through a lens that
-shifts, stretches or mirrors the image is not.
+Half a pixel between the rays of labels and of light, or a distortion applied to only one of them, is visible
+in no single value. The statistic is that of `pepperscene check`, the correlation of both kinds of edges over
+shifts, on the middle of an image of three plants with all noise of the camera.
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 

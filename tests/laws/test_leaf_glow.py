@@ -1,23 +1,11 @@
 """A backlit leaf has the colour of its transmittance.
 
-Rationale: a leaf that transmits a tinted fraction of what it reflects looks right from the front and is grey
-or dark against the light. Transmitted light has passed all pigments: no blue, little red, green.
-
-Set-up: a flat blade of the shipped cultivar across the optical axis at 50 cm, the sun's disc (ASTM G173,
-50,000 lx) directly behind it, everything else dark. Then the same with the sun behind the camera.
-
-Expected, by hand: the blade's radiance E A_s A_o T min(a_s, a_o) / (a_s a_o pi), where A is the fraction of
-light along the normal that enters a side's rough cuticle and a its cosine-weighted mean. Both are integrals
-over the gloss lobes (GGX, Smith, Fresnel; on shares of the area) without colour, so that the channels have
-the ratio of the integrals of T x sun x response, whatever the cuticle does. The reflectance factor of the
-front, along the normal, follows in the same way from that of the body and from the lobes at the half vector.
-
-Bounds: 256 samples in each of 64 pixels, with light from a single direction and no second scattering: only
-the choice of wavelengths is random, and a pixel's deviation (asserted below 2 %) leaves .25 % in the mean.
-The colour must be within 1 %, the level within 2 %; both were met within .2 %.
+A flat blade across the optical axis at 50 cm, the sun's disc directly behind it or behind the camera,
+everything else dark. By hand: its radiance is E A_s A_o T min(a_s, a_o) / (a_s a_o pi), where A is the
+fraction of light along the normal that enters a side's rough cuticle and a its cosine-weighted mean, both
+integrals over the gloss lobes without colour. The sampling error of the mean is .25 %: the colour must be
+within 1 %, the level within 2 %.
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache

@@ -1,18 +1,9 @@
 """Lambertian patches under the shipped LEDs, in every available variant: electrons against quadrature.
 
-Rationale: a renderer that is not spectral throughout (three numbers per ray, or a spectrum averaged before it
-is multiplied) passes with a grey patch under one light. It fails with colours under lights of other shapes:
-the sensor's integral of light x reflectance x response is not a product of integrals.
-
-Set-up: a white, a strongly coloured and a narrow-band patch, facing camera and lamp at 50 cm.
-
-Expected: the integral in NumPy, on half nanometres, from the numbers in the data files.
-
-Power: a patch has 256 pixels, each with different wavelengths; the standard error of their mean is estimated
-from their deviation and must be below .15 %, less than a third of the bound of .5 %.
+A renderer that is not spectral throughout fails with colours under lights of other shapes. A white, a
+strongly coloured and a narrow-band patch face camera and lamp; the standard error of a patch's 256 pixels,
+estimated from their deviation, must be below .15 %, less than a third of the bound of .5 %.
 """
-
-from __future__ import annotations
 
 import numpy as np
 import pytest

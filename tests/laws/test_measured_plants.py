@@ -1,23 +1,13 @@
-"""Sizes, angles and branches measured on meshes follow the distributions in the cultivar file.
+"""Sizes and angles measured on meshes follow the distributions in the cultivar file.
 
-Rationale: Barth et al. 2018 measured Table 1 with a ruler and callipers on grown plants, and Fig. 4
-with a protractor. Measuring the meshes the same way (`calipers.py`) tests everything between
-the cultivar file and the triangles: random draws, poses, sizes, meshing.
-
-Set-up: plants of Kaite with fixed seeds, without the young top, as Table 1 is of grown parts.
-
-Expected: plants are independent, organs of one plant may not be (leaves avoid one another, fruit comes in
-flushes, sizes follow the height). So each plant contributes one number per distribution: the sum over its
-organs of the deviations from the expectation. For n plants
-- mean: sum(r) / sqrt(sum(r^2)) of r = sum over a plant's organs of (x - mean) is standard normal;
-- variance: the same of (x - mean)^2 - sd^2;
-- histogram: Hotelling's T^2 of (organs in each bin - fraction x organs) is F-distributed.
-Each is tested at the significance 1e-4: a correct program fails any of the eighty tests here for one in 100
-choices of seeds, and the seeds are fixed. With 2,000 plants (marked `long`) a mean that is off by 2 % of the
-standard deviation is detected (70,000 leaves), or by 9 % where there is one value per plant.
+Barth et al. 2018 measured Table 1 and Fig. 4 on grown plants with ruler, callipers and protractor; measuring
+the meshes of Kaite the same way (`calipers.py`) tests everything between the cultivar file and the triangles.
+Organs of one plant depend on each other, so each plant contributes one number per distribution, the sum of
+its organs' deviations. For n plants sum(r) / sqrt(sum(r^2)) of r = sum of (x - mean), or of
+(x - mean)^2 - sd^2, is standard normal, and Hotelling's T^2 of the organs in each bin is F-distributed; each
+is tested at the significance 1e-4. The 2,000 plants of the long tier detect a mean that is off by 2 % of the
+standard deviation (70,000 leaves), or by 9 % where there is one value per plant.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace

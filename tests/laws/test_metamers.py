@@ -1,25 +1,10 @@
 """Metamers: surfaces that are equal to the sensor under one light and different under another.
 
-Rationale: a renderer with three numbers per ray gives two surfaces that are equal to the sensor under one
-light equal electrons under every light. Only a renderer that is spectral throughout separates them as the
-integrals do.
-
-Set-up: the sensor under LED A has a response of three rows, light x QE x lambda. A smooth curve with nothing
-in these rows (the null space) is added to a grey and taken from it: equal electrons under LED A, a
-root-mean-square difference of .36 in reflectance (more than .05 is required). Each fills an image.
-
-Expected: NumPy's quadrature, on half nanometres, from the numbers in the data files.
-
-Bounds: under A the true difference is zero (asserted, 1e-9). Under the flash, the rendered difference is the
-sampling error of the curve alone: both patches are rendered with the same seed, hence at the same
-wavelengths, so the noise of the grey that they share cancels. At 256 samples a pixel of four wavelengths
-each, evenly spaced, it was .005 % to .045 %; the bound is .1 %. Skylight goes through Russian roulette, which
-depends on the reflectance: its noise does not cancel. A sample survives with a probability of about .8, so
-the standard error is sqrt(1 / .8 - 1) / sqrt(48 x 48 x 256) = .07 %, and .3 % is three times that of a
-difference. The difference under other lights is many times its bound of .5 %.
+A smooth curve in the null space of light x QE x lambda under LED A is added to a grey and taken from it. Only
+a renderer that is spectral throughout keeps both equal under LED A and separates them as the integrals do
+under others. Bounds: under the flash the noise that both patches share cancels and .005 % to .045 % is left;
+skylight goes through Russian roulette, with a standard error of .07 %.
 """
-
-from __future__ import annotations
 
 import numpy as np
 import pytest

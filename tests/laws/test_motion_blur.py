@@ -1,7 +1,5 @@
 """Blur, lean and light of images from a moving camera, against closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +9,7 @@ from bodies import EVEN_SKY, axis_camera, card, even_lamp, sheet
 from pepperscene.camera import AngularProfile, Camera, Flash, Motion
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
-from pepperscene.render import QUALITIES, Quality, Renderer
+from pepperscene.render import Quality, Renderer
 from pepperscene.render.reference.path_tracer import INSTANTS
 from pepperscene.render.transport import strips
 from pepperscene.scene import assemble_scene, uniform_sky
@@ -101,15 +99,6 @@ def test_an_edge_is_smeared_by_speed_times_exposure_times_focal_length_over_dist
     # The profile of the reference has `INSTANTS` steps at random places; chosen: half of one is allowed.
     steps = 0.02 if quality is OURS else 0.02 + 0.5 / INSTANTS
     assert np.abs(profile / profile[0] - ramp)[inner].max() < steps
-
-
-def test_turning_smears_by_angle_times_focal_length():
-    # About the vertical axis: the edge goes from one half of the angle to the other.
-    view = camera(spin=(0.0, 12.0, 0.0))
-    profile = electrons(knife_edge(), view).mean(axis=0)
-    assert ramp_width(profile) == pytest.approx(
-        2 * np.tan(0.5 * 12.0 * 3e-3) * view.intrinsics[0, 0], rel=0.02
-    )
 
 
 def test_rolling_about_the_axis_smears_in_proportion_to_the_distance_from_it():
@@ -206,21 +195,6 @@ def test_rows_of_a_rolling_shutter_get_their_part_of_the_flash():
     expected = np.clip(2e-4 - np.arange(64) * 1e-5, 0.0, None) / 2e-4
     np.testing.assert_allclose(rows / full, expected, atol=0.005)
     assert (rows[20:] <= 1e-6 * full.mean()).all()
-
-
-def test_a_moving_camera_with_a_standard_quality_reports_both_parts():
-    view = camera((1.0, 0.0, 0.0), flash=lamp(5e-5, 200_000.0))
-    renderer = Renderer(white_edge())
-    both, only = (
-        renderer.render(v, ["electrons"], "standard").metadata["sampling"]
-        for v in (view, replace(view, flash=None))
-    )
-    assert both["samples_per_pixel"] > only["samples_per_pixel"] >= 4
-    # By daylight alone there are more of them.
-    standard = QUALITIES["standard"]
-    assert both["soft_samples_per_pixel"] == 2 * standard.soft
-    assert only["soft_samples_per_pixel"] == standard.soft_by_daylight
-    assert 0 < both["error_codes"] < 20
 
 
 def test_a_motion_of_zero_changes_nothing():

@@ -1,7 +1,5 @@
 """The harvest truth of a camera that moves while its rows are read out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

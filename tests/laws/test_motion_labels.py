@@ -1,7 +1,5 @@
 """Ground truth of a camera that moves while its rows are read out, against an independent ray caster."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses of a moving camera, times of its rows, and projection through a rolling shutter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -49,22 +47,6 @@ def test_poses_turn_as_scipy_and_opencv_say(t):
         np.testing.assert_allclose(moved[:3, :3], rotation @ pose[:3, :3], atol=1e-14)
 
 
-def test_poses_of_many_times_and_points_agree_with_single_poses():
-    camera, motion = moving_camera(), Motion(VELOCITY, SPIN)
-    times = np.linspace(-0.1, 0.2, 7)
-    poses, points = motion.pose_at(camera.pose, times), points_in_view(camera, 7)
-    local = motion.to_camera(camera.pose, points, times)
-    for t, pose, point, expected in zip(times, poses, points, local, strict=True):
-        np.testing.assert_allclose(pose, motion.pose_at(camera.pose, t), atol=1e-15)
-        np.testing.assert_allclose(pose[:3, :3].T @ (point - pose[:3, 3]), expected, atol=1e-14)
-
-
-@pytest.mark.parametrize("value", [(1.0, 2.0), (0.0, np.nan, 0.0)])
-def test_a_velocity_is_three_finite_numbers(value):
-    with pytest.raises(ValueError, match="velocity_m_s"):
-        Motion(velocity_m_s=value)
-
-
 def test_projection_through_a_rolling_shutter_is_that_of_the_pose_of_its_row():
     camera = moving_camera()
     points = points_in_view(camera)
@@ -109,12 +91,6 @@ def test_fast_images_are_projected_to_a_millionth_of_a_pixel(fraction):
         inside = (expected > 0) & (expected < 240)
         assert inside.sum() > 5
         np.testing.assert_allclose(found[inside], expected[inside], atol=1e-6)
-
-
-def test_points_behind_the_camera_have_no_pixel():
-    camera = moving_camera()
-    behind = camera.pose[:3, 3] - 0.5 * camera.pose[:3, 2]
-    assert np.isnan(camera.project(behind)).all()
 
 
 # --- the rows and the flash ---------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """Light of moving cameras by our integrator, and by Mitsuba's from cameras that stand still."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

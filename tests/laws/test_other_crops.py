@@ -4,8 +4,6 @@ Rationale: a crop is a file, and its plants must be valid throughout the program
 plants of each.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,18 +1,10 @@
 """Meshes of plants are valid for extreme parameters, and identical in all processes.
 
-Rationale: the tessellation of an organ is made for its usual size and shape; a blade of 1 mm, a fruit of
-300 mm and ten times the variance stretch it. A face without area has no normal, an open fruit no inside, and
-a mesh that differs between machines cannot be compared.
-
-Set-up: Hypothesis changes shipped cultivars: stems of 1 to 120 parts, blades of 1 to 600 mm, fruit of 5 to
-300 mm, all variances 0, unchanged or tenfold; details of .3 to 2.
-
-Expected, after Botsch et al. 2010, Polygon Mesh Processing, ch. 1: finite values, no face without area, no
-duplicate faces, at most two faces at an edge with opposite directions, solids that are closed and have
-positive volume and the topology of a ball, and normals on the front of the faces.
+Hypothesis changes shipped cultivars: stems of 1 to 120 parts, blades of 1 to 600 mm, fruit of 5 to 300 mm,
+all variances 0, unchanged or tenfold, details of .3 to 2. Expected, after Botsch et al. 2010, ch. 1: finite
+values, no face without area or twice, at most two faces at an edge with opposite directions, closed solids of
+positive volume with the topology of a ball, and normals on the front of the faces.
 """
-
-from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass

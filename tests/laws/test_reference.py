@@ -5,8 +5,6 @@ Both use the same meshes, materials, camera rays and response. Light transport i
 `pepperscene.render.reference.emitters` or with Mitsuba's own.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,7 @@ from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import QUALITIES, Renderer
 from pepperscene.render.reference.emitters import daylight_emitter
-from pepperscene.render.reference.path_tracer import SAMPLERS, path_scene, path_traced, samples_taken
+from pepperscene.render.reference.path_tracer import SAMPLERS, path_scene, path_traced
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene, Sky, Sun, assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
@@ -235,12 +233,6 @@ def test_light_equals_the_reference(kind):
     assert_agree(ours(scene, camera), reference(scene, camera))
 
 
-def test_both_are_black_without_light():
-    scene, dark = still_life(), camera(flash=False)
-    assert not ours(scene, dark).any()
-    assert not reference(scene, dark, spp=4, frames=1).any()
-
-
 FEW = {"row.plants_front": 1, "row.plants_back": 1}
 
 
@@ -364,15 +356,6 @@ def test_flash_of_a_reused_scene_follows_the_camera():
     np.testing.assert_array_equal(result, path_traced(scene, second, spp=16, bounces=1))
     other = path_traced(scene, first, spp=16, bounces=1, kernel_scene=kernel_scene)
     assert not np.array_equal(result, other)
-
-
-def test_samplers_take_at_least_as_many_samples():
-    assert [samples_taken("independent", n) for n in (1, 7, 64)] == [1, 7, 64]
-    assert all(samples_taken(sampler, 5) >= 5 for sampler in SAMPLERS)
-    with pytest.raises(ValueError, match="sobol"):
-        samples_taken("sobol", 4)
-    with pytest.raises(ValueError, match="at least one"):
-        samples_taken("independent", 0)
 
 
 @pytest.mark.parametrize("radius", [0.004654, 1.2, None])

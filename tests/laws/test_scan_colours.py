@@ -1,14 +1,9 @@
 """Colours of scans come back: fruit scanned in the colours of a chart look like it in even white light.
 
-Each fruit is a cube, scanned in one colour. They float side by side under an even sky of D65, which lights
-their fronts alone, and a sensor with the responses of the CIE 1931 observer looks at these. A matt skin sends
-out the colour itself. On a glossy one the gloss is added, which a black fruit has alone: it is taken off as
-light is mixed, L = E + (1 - E) R.
-
-Accepted: CIEDE2000 of 0.5 (median) and 2 (worst); most of it is noise.
+Cubes, each scanned in one colour, float under an even sky of D65 in front of a sensor with the responses of
+the CIE 1931 observer. A matt skin sends out the colour itself; on a glossy one the gloss, which a black fruit
+has alone, is taken off: L = E + (1 - E) R. Accepted: CIEDE2000 of 0.5 (median) and 2 (worst).
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 

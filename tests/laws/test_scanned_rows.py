@@ -1,7 +1,5 @@
 """Images of a line scanner against still cameras at the poses of its rows, and against a closed form."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

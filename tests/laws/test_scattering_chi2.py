@@ -6,8 +6,6 @@ if samples choose the gloss .01 too often or transmission 2 % too often, or if t
 too large.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

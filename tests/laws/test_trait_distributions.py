@@ -1,7 +1,5 @@
 """The distributions of traits over organs are recovered from the maps of 200 frames."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """White furnace test of the renderer: lossless bodies are invisible in uniform light."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

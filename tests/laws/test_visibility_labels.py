@@ -1,15 +1,9 @@
 """The visibility of fruit against label images of a complete row.
 
-Rationale: the observer samples the fruit's surface from any pose without an image; label images trace a ray
-through each pixel's centre, and find the pixels of each fruit alone with further rays.
-Set-up: the row of `barth2018`, thirteen plants, with its lens; poses in the aisle that face fruit.
-Expected: the visible pixels of each fruit differ by less than 1 % of those that it would have alone. Images
-themselves are uncertain: pixels at the outlines of fruit and leaves are counted whole. Of fruit of 1,000 to
-4,000 pixels that is up to 1 %, and a tenth of it with pixels of a quarter of the size. So images with finer
-pixels are the reference, and fruit of few pixels are left out.
+The observer samples the fruit's surface without an image; label images trace a ray through each pixel's
+centre. Visible pixels differ by less than 1 % of those that a fruit would have alone. Pixels at outlines are
+counted whole, so images with finer pixels are the reference, and fruit of few pixels are left out.
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Encodings: the paper's distance code, class colours, boxes, and run lengths as in pycocotools."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

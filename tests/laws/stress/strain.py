@@ -1,7 +1,5 @@
 """Checks that every frame must pass; scenes that are moved, scaled and made of single triangles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

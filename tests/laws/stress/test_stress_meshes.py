@@ -1,15 +1,12 @@
 """Triangles without area, duplicate, thin or coplanar; meshes that are empty or not finite."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import EVEN_SKY, axis_camera, card, point_flash_camera, sheet
+from bodies import EVEN_SKY, axis_camera, card, sheet
 from greenhouse import camera as greenhouse_camera
 from greenhouse import greenhouse
-from scipy.spatial.transform import Rotation
 from strain import OUTPUTS, grey, render, surface, triangles, with_faces
 
 from pepperscene.camera import Camera
@@ -110,25 +107,6 @@ def test_hair_thin_triangles_hardly_change_the_light(tracer):
     assert result.mean((0, 1)) == pytest.approx(expected.mean((0, 1)), rel=0.01)
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.4])
-def test_pixels_of_coplanar_leaves_are_between_both(tilt):
-    # A dark and a pale leaf in the same plane: each pixel shows one of them, or a mixture.
-    rotation = Rotation.from_euler("x", tilt).as_matrix()
-    centre = np.array([0.0, 0.0, 0.5])
-    dark, pale = (
-        sheet(0.3, size, 0.5, name).moved(rotation, centre - rotation @ centre)
-        for name, size in (("dark", 0.3), ("pale", 0.35))
-    )
-    surfaces = {"dark": surface("dark", 0.1), "pale": surface("pale", 0.8)}
-    camera = point_flash_camera(24, 18)
-    both = render(assemble_scene(concatenate_meshes([dark, pale]), surfaces), camera)
-    lower, upper = (render(assemble_scene(mesh, surfaces), camera)["electrons"] for mesh in (dark, pale))
-    assert set(np.unique(both["instance"])) <= {1, 2}
-    # Single scattering depends on the leaf hit alone; samples of a pixel may hit either.
-    assert (both["electrons"] >= lower * 0.999).all()
-    assert (both["electrons"] <= upper * 1.001).all()
-
-
 @pytest.mark.parametrize("outputs", [("electrons",), ("class",)])
 @pytest.mark.parametrize("arrays", [("face",), ("face", "vert", "normals", "uv", "state")])
 def test_rejects_empty_meshes(arrays, outputs):
@@ -136,16 +114,6 @@ def test_rejects_empty_meshes(arrays, outputs):
     empty = {k: v[:0] for k, v in vars(mesh).items() if k.startswith(arrays) and isinstance(v, np.ndarray)}
     with pytest.raises(ValueError, match="the mesh has no triangles"):
         Renderer(grey(replace(mesh, **empty), sky=EVEN_SKY)).render(axis_camera(4, 4), outputs)
-
-
-@pytest.mark.parametrize("quality", ["draft", "standard"])
-def test_shows_only_the_sky_if_everything_is_behind_the_camera(quality):
-    behind, far = sheet(0.2, 0.2, -0.5, "leaf"), sheet(1e-3, 1e-3, -5e3, "leaf")
-    frame = render(grey(behind, sky=EVEN_SKY), axis_camera(16, 12), quality)
-    assert not frame["class"].any()
-    open_sky = render(grey(far, sky=EVEN_SKY), axis_camera(16, 12, flash=False), quality)
-    assert frame["electrons"] == pytest.approx(open_sky["electrons"], rel=1e-3)
-    assert render(grey(behind), axis_camera(16, 12), quality)["electrons"].max() == 0.0
 
 
 @pytest.mark.parametrize("outputs", [("electrons",), ("distance",)])

@@ -5,8 +5,6 @@ are drawn at the ends of their ranges more often than not. Cameras are outside, 
 triangles.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,16 +1,14 @@
 """One sample to thousands, one pixel to millions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from bodies import EVEN_SKY, axis_camera, card, sheet
 from processes import run_python
-from strain import assert_sound, render, surface
+from strain import assert_sound, surface
 
-from pepperscene.camera import Partners, load_sensor
+from pepperscene.camera import Partners
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.outputs import BAND_OUTPUTS, DEPTH_CAMERA_OUTPUTS, OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render import Quality, Renderer
@@ -68,20 +66,6 @@ def test_accepts_any_image_size_for_all_outputs(size, quality):
         # Grey surfaces have no pigments.
         assert (np.isnan(image.astype(float)) == (name in TRAIT_OUTPUTS)).all()
     assert (frame["electrons"] > 0.0).all()
-
-
-def test_labels_of_a_4k_image_contain_those_of_a_small_one():
-    # The small image has the centre of every 15th pixel.
-    def labels(columns, rows, finer):
-        sensor = load_sensor("ueye_ui5250re")
-        sensor = replace(sensor, columns=columns, rows=rows, pitch_m=sensor.pitch_m / finer)
-        camera = replace(axis_camera(), sensor=sensor)
-        return render(leaf_and_wall(), camera, outputs=("class", "instance", "distance", "normal"))
-
-    wide, narrow = labels(*WIDE, 15), labels(WIDE[0] // 15, WIDE[1] // 15, 1)
-    for name in ("class", "instance", "distance", "normal"):
-        assert wide[name].shape[:2] == WIDE[::-1]
-        assert wide[name][7::15, 7::15] == pytest.approx(narrow[name], rel=1e-5)
 
 
 _WIDE_DRAFT = """
