@@ -65,7 +65,7 @@ def test_damage_inverts_no_triangle(seed, bites, width, tears, depth, detail, lo
 
 def test_bites_take_out_round_pieces_of_the_stated_width():
     """The area of a segment of a circle whose centre is half a radius outside of the margin."""
-    width, missing = 0.012, []
+    width, missing = 0.01, []
     for seed in np.linspace(0.02, 0.98, 40):
         whole, bitten = (
             signed_areas(flat(blade(seed=seed, detail=2.0, **measures)), blade_grid(2.0, 0.0).faces).sum()

@@ -84,13 +84,6 @@ def test_outline_is_the_same_at_every_detail(measures, tolerance, rel):
         assert polygon_area(line) == pytest.approx(polygon_area(finest), rel=rel)
 
 
-def test_outline_is_smooth():
-    """No corner of the margin at detail 1 turns by more than 12 degrees, except at base and tip."""
-    step = np.diff(outline(blade()), axis=0)
-    turn = np.degrees(np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0])))))
-    assert np.sort(turn)[:-4].max() < 12.0
-
-
 def test_lobes_point_to_the_tip():
     """Each half has several notches; the lobes between them lean forward."""
     line = outline(blade(detail=2.0, widest=0.3, **LOBED))

@@ -109,7 +109,7 @@ def test_counts_equal_those_of_all_pairs_of_triangles(
     triangles = CoarseTriangles(organs, chosen, resolution)
     row, column = organs.close_pairs(organs.of_class(LEAF), chosen, 0.0)
     one, two = organs.of_class(LEAF)[row], chosen[column]
-    kept = rng.choice(np.flatnonzero(one != two), 30, replace=False)
+    kept = rng.choice(np.flatnonzero(one != two), 45, replace=False)
     one, two = one[kept], two[kept]
     # Every blade rotates about its centre by up to 20 degrees.
     axis = rng.normal(size=(len(one), 3))
@@ -123,13 +123,13 @@ def test_counts_equal_those_of_all_pairs_of_triangles(
         count_all(corners[a] @ rotation[row].T + shift[row], corners[b], clearance)
         for row, (a, b) in enumerate(zip(one.tolist(), two.tolist(), strict=True))
     ]
-    assert np.count_nonzero(expected) > 3
+    assert np.count_nonzero(expected) >= 3
     boxes = triangles.count(one, rotation, shift, np.arange(len(one)), two, clearance, by_boxes=True)
     assert np.all(boxes >= ours)
     assert boxes.sum() > 2 * ours.sum()
     # Single precision decides otherwise where an edge just meets the border of a triangle.
     assert np.all(np.abs(ours - expected) <= 1 + 0.02 * np.array(expected))
-    assert np.mean(ours == expected) > 0.9
+    assert np.mean(ours == expected) > 0.95
 
 
 def test_cheapest_poses_are_those_of_an_exhaustive_search(mesh: Mesh) -> None:

@@ -168,20 +168,6 @@ def test_scar_is_slanted_and_its_face_dries():
     assert np.median(middles) < 0.2
 
 
-def test_more_than_half_of_the_nodes_have_a_leaf_scar():
-    """A corky spot below the middle, on one side."""
-    scarred = 0
-    for seed in np.linspace(0.0, 0.99, 60):
-        mesh = tube("node", NODE_AXIS, seed=seed, detail=2.0, state_mean=0.6, state_spread=0.0)
-        low = (mesh.uv[:, 1] > 0.2) & (mesh.uv[:, 1] < 0.5)
-        corky = low & (mesh.state < 0.3)
-        scarred += bool(corky.any())
-        if corky.any():
-            u = 2.0 * np.pi * mesh.uv[corky, 0]
-            assert np.hypot(np.cos(u).mean(), np.sin(u).mean()) > 0.9
-    assert 0.4 < scarred / 60 < 0.8
-
-
 @pytest.fixture(scope="module")
 def grown():
     """A plant and the mesh of each of its tubes, by index."""

@@ -15,7 +15,7 @@ def tomato() -> Cultivar:
 @pytest.fixture(scope="session")
 def plants(kaite: Cultivar) -> list[Plant]:
     """Kaite plants with fixed seeds."""
-    return [grow(kaite, np.random.default_rng(seed)) for seed in range(120)]
+    return [grow(kaite, np.random.default_rng(seed)) for seed in range(200)]
 
 
 @pytest.fixture(scope="session")

@@ -89,9 +89,9 @@ def test_the_stem_follows_its_twine(kaite: Cultivar, plants: list[Plant]) -> Non
         assert np.all(np.diff(nodes[:, 2]) > 0)
         assert np.abs(nodes[:, 0]).max() < 0.08
         assert np.abs(nodes[:, 1]).max() < 0.08 + np.tan(lean) * nodes[-1, 2]
-    assert np.mean([plant.of_kind("node")[-1].curve[-1, 2] for plant in plants]) == pytest.approx(
-        4.0, abs=0.25
-    )
+    # 36 grown internodes of 99 mm and four shorter ones; the deviation between plants is 75 mm.
+    heights = [plant.of_kind("node")[-1].curve[-1, 2] for plant in plants]
+    assert np.mean(heights) == pytest.approx(3.75, abs=0.03)
 
 
 def test_lean_is_added_towards_the_aisle(kaite: Cultivar) -> None:

@@ -89,11 +89,3 @@ def test_any_number_of_nodes(name: str, parts: int, young: int) -> None:
     plant = grow(with_stem(load_cultivar(name), parts=parts, young_nodes=young), np.random.default_rng(7))
     assert_is_sound(plant)
     assert len(plant.of_form("node")) == len(plant.of_form("internode")) == parts
-
-
-def test_internodes_shorter_than_their_nodes_run_upwards(kaite: Cultivar) -> None:
-    length = Distribution(family="uniform", mean=0.05, sd=0.028, low=0.001, high=0.1, chosen="for a test")
-    plant = grow(with_organ(kaite, "internode", length=length), np.random.default_rng(3))
-    assert_is_sound(plant)
-    stem = np.concatenate([o.curve for o in plant.organs if o.kind in ("internode", "node")])
-    assert (np.diff(stem[:, 2]) > -1e-12).all()

@@ -133,7 +133,7 @@ def test_bands_have_the_light_of_mitsubas_path_tracer():
     bands = gaussian_bands(np.linspace(450.0, 700.0, 5), 30.0)
     camera = small_camera(bands, columns=32, rows=24)
     camera = replace(camera, sensor=replace(camera.sensor, binning=32))
-    renderer, runs = Renderer(sphere_and_leaf()), 6
+    renderer, runs = Renderer(sphere_and_leaf()), 12
 
     def means(samples: int, **method: str) -> np.ndarray:
         """`(runs, c)` means of images."""

@@ -96,7 +96,7 @@ def test_nearest_wavelengths_are_accurate_for_shipped_surfaces():
     # Taking the nearest entry changes no channel of any surface by more than 2e-5. With entries 1 nm apart it
     # is 2.6e-4: the flash's blue light changes by 6 % of its peak per nm at 440 nm.
     camera = axis_camera()
-    fine = np.arange(380.0, 690.0, 0.04)
+    fine = np.arange(380.0, 690.0, 0.02)
     weight = camera.sensor.electrons_per_joule(fine) * camera.flash.radiant_intensity(fine)
     for surface in shipped():
         nm = surface.wavelength_nm
