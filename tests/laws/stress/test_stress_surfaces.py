@@ -22,11 +22,12 @@ def electrons_of_two_leaves(
     return render(scene, camera or axis_camera(16, 12), quality)["electrons"]
 
 
-@pytest.mark.parametrize("reflectance", [1e-7, 1e-20, 1e-38, 1e-45, 5e-324])
-@pytest.mark.parametrize("quality", ["draft", "standard"])
-def test_almost_black_leaves_are_like_black_ones(reflectance, quality):
+@pytest.mark.parametrize(
+    "reflectance", [1e-7, *(pytest.param(r, marks=pytest.mark.long) for r in (1e-38, 1e-45))]
+)
+def test_almost_black_leaves_are_like_black_ones(reflectance):
     # Light is proportional to R at the first hit, and to R squared or less after it.
-    options = {"camera": point_flash_camera(), "quality": quality}
+    options = {"camera": point_flash_camera(), "quality": "standard"}
     result, black, white = (electrons_of_two_leaves(r, sky=None, **options) for r in (reflectance, 0.0, 1.0))
     assert result.max() <= white.max() * reflectance * 1.01 + 1e-30
     assert black.max() == 0.0
@@ -34,8 +35,7 @@ def test_almost_black_leaves_are_like_black_ones(reflectance, quality):
     assert result == pytest.approx(expected, rel=1e-4, abs=1e-3 + 10.0 * reflectance * float(white.max()))
 
 
-@pytest.mark.parametrize("roughness", [0.0, 1e-12, 1e-3])
-@pytest.mark.parametrize("ior", [1.5, 2.5])
+@pytest.mark.parametrize(("roughness", "ior"), [(0.0, 1.5), pytest.param(1e-3, 2.5, marks=pytest.mark.long)])
 def test_mirror_shows_the_flash_at_twice_the_distance(roughness, ior):
     # A black body under a smooth cuticle; the flash is a point at the lens. Its image gives the irradiance
     # F I / (2 d)^2, with Fresnel's F = ((n - 1) / (n + 1))^2, and a pixel covers the solid angle 1 / (fx fy).
@@ -52,14 +52,14 @@ def test_mirror_shows_the_flash_at_twice_the_distance(roughness, ior):
 
 @pytest.mark.parametrize(
     ("ior", "roughness"),
-    [(1.0, 0.0), *((ior, alpha) for ior in (1.0, 1.4, 2.5) for alpha in (1.0 - 1e-6, 1.0 + 1e-6))],
+    [(1.0, 0.0), (1.4, 1.0 - 1e-6), pytest.param(2.5, 1.0 + 1e-6, marks=pytest.mark.long)],
 )
 def test_roughness_is_continuous_at_one_and_irrelevant_without_gloss(ior, roughness):
     result, expected = (electrons_of_two_leaves(0.3, 0.3, ior, alpha) for alpha in (roughness, 1.0))
     assert result == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1e-3])
+@pytest.mark.parametrize("bad", [np.nan, -1e-3])
 @pytest.mark.parametrize("field", ["reflectance", "transmittance"])
 def test_rejects_invalid_spectra(field, bad):
     values = {"reflectance": np.full((1, 2, 2), 0.4), "transmittance": np.full((1, 2), 0.4)}
