@@ -205,10 +205,7 @@ def test_errors_name_the_key(table: dict[str, Any], tmp_path: Path, error: str) 
     assert "plant.toml" in message
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["organs.node.width", f"{LEAF}.what", "pigments.leaf.ior", "name"],
-)
+@pytest.mark.parametrize("name", ["organs.node.width", f"{LEAF}.what", "pigments.leaf.ior", "name"])
 def test_raises_on_missing_keys(table: dict[str, Any], tmp_path: Path, name: str) -> None:
     put(table, name, None)
     with pytest.raises(InputError, match="required but missing") as caught:

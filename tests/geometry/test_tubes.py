@@ -51,12 +51,7 @@ def diameters(mesh):
 
 @pytest.mark.parametrize("detail", [0.4, 2.0])
 @pytest.mark.parametrize(
-    ("form", "curve"),
-    [
-        ("internode", UPRIGHT),
-        ("stalk", arc(1.2)),
-        ("peduncle", arc(1.7, length=0.046)),
-    ],
+    ("form", "curve"), [("internode", UPRIGHT), ("stalk", arc(1.2)), ("peduncle", arc(1.7, length=0.046))]
 )
 def test_length_along_the_rings_is_that_of_the_curve(form, curve, detail):
     mesh = tube(form, curve, RISING_UP if form != "internode" else (0, -1, 0), detail, seed=0.37)

@@ -252,12 +252,6 @@ def test_light_between_cards_is_part_of_the_measured_reflectance():
     assert not np.allclose(frame["reflectance"].mean(), 0.5, rtol=0.01)
 
 
-def test_without_light_on_the_panel_reflectance_is_not_a_number():
-    frame = measured(band_camera(), lambertian_surface("grey", 0.5), None, WhiteReference())
-    assert np.isnan(frame["reflectance"]).all()
-    assert frame.metadata["white_reference"]["bands_without_light"] == [0, 1, 2, 3, 4]
-
-
 @pytest.mark.parametrize(("illuminance_lx", "is_detected"), [(1e-6, False), (0.01, False), (2e4, True)])
 def test_reflectance_needs_a_signal_of_three_times_the_noise(illuminance_lx, is_detected):
     sky = partly_cloudy_sky(

@@ -16,11 +16,7 @@ from trimesh.collision import CollisionManager
 
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar import Cultivar, load_cultivar
-from pepperscene.geometry import (
-    Mesh,
-    mesh_plant,
-    resolve_contacts,
-)
+from pepperscene.geometry import Mesh, mesh_plant, resolve_contacts
 from pepperscene.geometry.contacts.detect import ContactDetector
 from pepperscene.grammar import grow
 from pepperscene.scene import Twine, add_twine, double_row
@@ -171,7 +167,6 @@ def row(kaite: Cultivar) -> Mesh:
     [
         ("kaite", 3, 30, 0),
         pytest.param("red_blocky", 2, 25, 1, marks=pytest.mark.long),
-        pytest.param("kaite", 22, 300, 0, marks=pytest.mark.long),
         pytest.param("orange_pointed", 2, 25, 1, marks=pytest.mark.long),
         pytest.param("tomato", 2, 25, 1, marks=pytest.mark.long),
     ],

@@ -37,8 +37,7 @@ def white(name: str, ior: float, alpha: float) -> Surface:
 
 
 @pytest.mark.parametrize(
-    ("ior", "roughness", "least", "rim"),
-    [(1.0, 0.3, 0.92, 0.99), (1.5, 0.05, 0.75, 0.94)],
+    ("ior", "roughness", "least", "rim"), [(1.0, 0.3, 0.92, 0.99), (1.5, 0.05, 0.75, 0.94)]
 )
 def test_coarse_lossless_ball_has_no_dark_rim_in_a_uniform_sky(ior, roughness, least, rim):
     # 80 triangles, whose normals are up to 20 degrees off: without correction, the darkest pixels fall to .65

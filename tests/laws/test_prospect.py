@@ -28,16 +28,6 @@ def smooth_gloss(ior):
     return 1.0 - cone_transmissivity(INCIDENCE_CONE_RAD, ior)
 
 
-def test_protein_and_carbon_replace_dry_matter():
-    """Their coefficients were calibrated so that LMA = protein + carbon: the near infrared hardly changes."""
-    nm = np.arange(750, 2401, 50)
-    total = leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008)
-    parts = leaf_spectra(nm, **LEAF, protein_g_cm2=0.001, carbon_g_cm2=0.007)
-    assert parts.reflectance == pytest.approx(total.reflectance, abs=0.02)
-    with pytest.raises(ValueError, match="not both"):
-        leaf_spectra(nm, **LEAF, dry_matter_g_cm2=0.008, protein_g_cm2=0.001)
-
-
 def content(usual: float) -> st.SearchStrategy[float]:
     """Cultivar files allow any finite content of at least 0: from denormal to enormous."""
     return st.one_of(st.just(0.0), st.floats(0.0, usual), st.floats(0.0, 1.7e308), st.floats(0.0, 1e-300))
@@ -73,11 +63,6 @@ def test_conserves_energy(n, chl, car, ant, cap, brown, water, dry, ior, flesh):
     assert fruit.min() >= 0
     assert fruit.max() <= 1
     assert not transmittance.any()
-
-
-def test_clear_tissue_absorbs_nothing():
-    leaf = leaf_spectra(NM, structure_n=2.2)
-    assert leaf.reflectance + leaf.transmittance == pytest.approx(np.ones(NM.size), abs=1e-12)
 
 
 def test_below_400_nm_the_coefficients_of_400_nm_apply():
