@@ -100,7 +100,10 @@ def test_coarse_triangles_are_on_vertices_of_their_organ(mesh: Mesh, is_shuffled
             assert next(extents) > 0.7 * next(extents)
 
 
-@pytest.mark.parametrize(("resolution", "clearance"), [(FINE, CLEARANCE), (ROUGH, 2.5e-3)])
+@pytest.mark.parametrize(
+    ("resolution", "clearance"),
+    [(FINE, CLEARANCE), pytest.param(ROUGH, 2.5e-3, marks=pytest.mark.long)],
+)
 def test_counts_equal_those_of_all_pairs_of_triangles(
     mesh: Mesh, resolution: Resolution, clearance: float
 ) -> None:
