@@ -15,10 +15,6 @@ SENSOR = {
     "name": "bands", "kind": "MODEL", "columns": 8, "rows": 6, "pattern": "bands", "binning": 1,
     "pitch_um": 4.0, "full_well_e": 10_000, "read_noise_e": 5, "bits": 12, "black_level_dn": 10,
 }  # fmt: skip
-FIVE = [
-    ("blue", 475.0, 32.0), ("green", 560.0, 27.0), ("red", 668.0, 14.0), ("red edge", 717.0, 12.0),
-    ("near infrared", 842.0, 57.0),
-]  # fmt: skip
 CURVES = "wavelength_nm,first,second,third\n400,0,0,0\n500,0.5,0.1,0\n600,0,0.1,0.8\n700,0,0,0\n"
 
 
@@ -27,10 +23,6 @@ def load(folder, changes):
     table = {key: value for key, value in {**SENSOR, **changes}.items() if value is not None}
     (folder / "sensor.toml").write_bytes(tomli_w.dumps(table).encode())
     return load_sensor(folder / "sensor.toml")
-
-
-def test_shipped_camera_has_the_published_bands():
-    assert load_sensor("micasense_rededge_mx").bands == tuple(Band(*band) for band in FIVE)
 
 
 def test_gaussian_is_half_as_high_half_a_width_beside_its_centre():
@@ -44,24 +36,17 @@ def test_gaussian_is_half_as_high_half_a_width_beside_its_centre():
 def test_box_has_its_width_and_area(centre):
     curve = band_curves([centre], [20.0], [0.5], ["box"])
     assert curve.integral()[0] == pytest.approx(10.0, rel=1e-9)
-    assert curve.at([centre - 10.5, centre - 9.5, centre + 9.5, centre + 10.5])[0].tolist() == [
-        0,
-        0.5,
-        0.5,
-        0,
-    ]
+    edges = curve.at([centre - 10.5, centre - 9.5, centre + 9.5, centre + 10.5])
+    assert edges[0].tolist() == [0, 0.5, 0.5, 0]
     (band,) = describe_bands(curve)
     assert (band.centre_nm, band.width_nm) == pytest.approx((centre, 20.0), abs=0.011)
 
 
-def test_bands_one_by_one(tmp_path):
+def test_bands_one_by_one_and_regular_bands(tmp_path):
     bands = [{"name": "a", "centre_nm": 500, "width_nm": 20, "peak": 0.4}, {"centre_nm": 800, "width_nm": 5}]
     sensor = load(tmp_path, {"bands": bands})
     assert sensor.bands == (Band("a", 500.0, 20.0), Band("", 800.0, 5.0))
     assert sensor.quantum_efficiency.values.max(axis=1).tolist() == [0.4, 0.5]
-
-
-def test_regular_bands(tmp_path):
     table = {"first_nm": 400, "last_nm": 1000, "count": 61, "width_nm": 6}
     sensor = load(tmp_path, {"regular_bands": table})
     assert [band.centre_nm for band in sensor.bands] == pytest.approx(np.arange(400, 1001, 10), abs=0.01)
@@ -101,15 +86,8 @@ BLIND = {"bands": [{"centre_nm": 900, "width_nm": 20}]}
     [
         ({}, "", "needs one of bands, regular_bands, band_curves, which are missing"),
         ({"bands": [BAND], "regular_bands": REGULAR}, "", "not bands and regular_bands"),
-        ({"bands": []}, "bands", "at least 1 item"),
-        ({"bands": [{**BAND, "width_nm": 0.5}]}, "bands.0.width_nm", "greater than or equal to 1"),
-        ({"bands": [{**BAND, "centre_nm": 3000}]}, "bands.0.centre_nm", "less than or equal to 2500"),
         ({"bands": [{**BAND, "peak": 1.5}]}, "bands.0.peak", "less than or equal to 1"),
-        ({"bands": [{**BAND, "shape": "round"}]}, "bands.0.shape", "'gaussian' or 'box'"),
-        ({"bands": [{"centre_nm": 500}]}, "bands.0.width_nm", "is required but missing"),
-        ({"bands": [{**BAND, "fwhm": 3}]}, "bands.0.fwhm", "is not a known key"),
         ({"bands": [{**BAND, "name": "a"}] * 2}, "bands.1.name", "must be different for each band"),
-        ({"regular_bands": {**REGULAR, "count": 1}}, "regular_bands.count", "greater than or equal to 2"),
         ({"regular_bands": {**REGULAR, "last_nm": 300}}, "regular_bands", "must be below last_nm"),
         ({"band_curves": {"file": "no.csv"}}, "band_curves.file", "is not a file in the same folder"),
         (
@@ -135,9 +113,3 @@ def test_errors_name_key_and_what_is_allowed(tmp_path, changes, key, problem):
         load(tmp_path, changes)
     assert caught.value.key == key
     assert problem in caught.value.problem
-
-
-def test_values_above_1_are_errors_with_their_row(tmp_path):
-    (tmp_path / "wide.csv").write_text("wavelength_nm,a\n400,0\n500,1.2\n")
-    with pytest.raises(InputError, match=r"row 3, column a = 1\.2: must be from 0 to 1"):
-        load(tmp_path, {"band_curves": {"file": "wide.csv"}})

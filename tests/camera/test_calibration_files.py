@@ -55,10 +55,17 @@ def write_opencv(path, calibration, **further):
 
 
 @each_model
-def test_camera_info_of_ros(tmp_path, model):
-    path = tmp_path / "camera_info.yaml"
-    path.write_text(yaml.safe_dump(ros_content(calibration_of(model))), encoding="utf-8")
-    assert read_calibration(path) == calibration_of(model)
+def test_camera_info_of_ros_and_a_message_of_ros_2(tmp_path, model):
+    path, calibration = tmp_path / "camera_info.yaml", calibration_of(model)
+    content = ros_content(calibration)
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert read_calibration(path) == calibration
+    message = {"width": 1280, "height": 720, "distortion_model": model, "k": content["camera_matrix"]["data"]}
+    path.write_text(yaml.safe_dump(message | {"d": list(calibration.coefficients)}) + "---\n")
+    assert read_calibration(path) == calibration
+    # YAML 1.1 reads 12e-4 as text, and programs write it.
+    path.write_text(yaml.safe_dump(content).replace("0.0012", "12e-4"), encoding="utf-8")
+    assert read_calibration(path) == calibration
 
 
 @each_model
@@ -75,9 +82,8 @@ def test_file_written_by_opencv(tmp_path, model, first_line):
 @pytest.mark.parametrize("count", [12, 14])
 def test_opencv_coefficients_of_models_without_effect_are_left_out(tmp_path, count):
     known = COEFFICIENTS["rational_polynomial"]
-    content = ros_content(calibration_of("rational_polynomial")) | {"distortion_coefficients": None}
+    content, path = ros_content(calibration_of("rational_polynomial")), tmp_path / "c.yaml"
     del content["distortion_model"]
-    path = tmp_path / "c.yaml"
     content["distortion_coefficients"] = {"data": [*known, *[0.0] * (count - 8)]}
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     assert read_calibration(path) == calibration_of("rational_polynomial")
@@ -85,25 +91,6 @@ def test_opencv_coefficients_of_models_without_effect_are_left_out(tmp_path, cou
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(InputError, match=rf"must be the 8 numbers k1, .* k6 of rational.*, not {count}"):
         read_calibration(path)
-
-
-def test_message_of_ros_2(tmp_path):
-    calibration = calibration_of()
-    matrix = [number for row in matrix_of(calibration) for number in row]
-    content = {"width": 1280, "height": 720, "distortion_model": "plumb_bob", "k": matrix}
-    content["d"] = list(calibration.coefficients)
-    path = tmp_path / "message.yaml"
-    path.write_text(yaml.safe_dump(content) + "---\n", encoding="utf-8")
-    assert read_calibration(path) == calibration
-
-
-def test_numbers_without_a_decimal_point(tmp_path):
-    # YAML 1.1 reads 1e-3 as text, and programs write it.
-    content = ros_content(calibration_of())
-    text = yaml.safe_dump(content).replace("0.0012", "12e-4")
-    (tmp_path / "c.yaml").write_text(text, encoding="utf-8")
-    assert "12e-4" in text
-    assert read_calibration(tmp_path / "c.yaml") == calibration_of()
 
 
 def change(**values):
@@ -117,22 +104,13 @@ def without(key):
 SKEWED = {"data": [900.0, 0.5, 640, 0, 900, 360, 0, 0, 1]}
 INVALID = [
     (without("image_width"), r"image_width: is required but missing"),
-    (without("camera_matrix"), r"camera_matrix: is required but missing"),
     (change(image_width=0), r"an image of 0 x 720 must be 1 x 1 to 20000"),
     (change(image_width=12.5), r"image_width = 12\.5: must be a whole number"),
-    (change(image_height="high"), r"image_height = 'high': must be a whole number"),
     (change(camera_matrix=[1, 2, 3]), r"camera_matrix: must hold 9 finite numbers"),
     (change(camera_matrix={"data": [float("nan")] * 9}), r"camera_matrix: must hold 9 finite numbers"),
     (change(camera_matrix=SKEWED), r"camera_matrix: must be \[fx, 0, cx.* without skew"),
     (change(camera_matrix={"data": [0, 0, 640, 0, 900, 360, 0, 0, 1]}), r"fx = 0 must be 1 to 1e\+06"),
-    (
-        change(camera_matrix={"data": [100, 0, 640, 0, 900, 360, 0, 0, 1]}),
-        r"fy = 900 must be 0\.25 to 4 times",
-    ),
-    (
-        change(distortion_model="inverse_brown"),
-        r"distortion_model = 'inverse_brown': must be one of plumb_bob",
-    ),
+    (change(camera_matrix={"data": [100, 0, 640, 0, 900, 360, 0, 0, 1]}), r"fy = 900 must be 0\.25 to 4 tim"),
     (change(distortion_model=["x"]), r"distortion_model = \['x'\]: must be one of plumb_bob"),
     (change(distortion_model="equidistant"), r"must be the 4 numbers k1, k2, k3, k4 of equidistant, not 5"),
     (change(distortion_coefficients={"data": ["a"]}), r"distortion_coefficients: must hold finite numbers"),
@@ -154,13 +132,10 @@ def test_invalid_values_give_one_sentence_with_the_file(tmp_path, edit, message)
     [
         ("", "must be a calibration"),
         ("- 1\n- 2", "must be a calibration"),
-        ("a: [1, 2", "is not valid YAML at line 1"),
         ("a: !!python/object/apply:os.system [ls]", "is not valid YAML at line 1"),
         ("[" * 5000, "is not valid YAML"),
         ("a: 2026-99-99", "is not valid YAML"),
         ('a: !!int ""', "is not valid YAML"),
-        ('a: !!bool "perhaps"', "is not valid YAML"),
-        ('a: !!timestamp "today"', "is not valid YAML"),
         ("a: " + "x" * 300_000, "longer than 300,000 bytes"),
     ],
 )
@@ -169,11 +144,9 @@ def test_other_files_give_one_sentence(tmp_path, text, message):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         read_calibration(path)
-    with pytest.raises(InputError, match="cannot be read"):
-        read_calibration(tmp_path / "missing.yaml")
 
 
-@pytest.mark.parametrize("hfov_deg", [20, 69.4, 120])
+@pytest.mark.parametrize("hfov_deg", [20, 120])
 def test_field_of_view_spans_the_width_of_the_image(hfov_deg):
     calibration = pinhole_calibration(1280, 720, hfov_deg)
     # From the left edge of the image to the right one, half a pixel beyond the outermost centres.

@@ -68,7 +68,7 @@ def test_lab_matches_colour_science_and_is_continuous():
     np.testing.assert_allclose(below, above, atol=1e-6)
 
 
-@pytest.mark.parametrize("white", [[1.09850, 1.0, 0.35585], [0.96422, 1.0, 0.82521], D65_WHITE])
+@pytest.mark.parametrize("white", [[1.09850, 1.0, 0.35585], D65_WHITE])
 def test_adaptation_matches_colour_science_and_maps_white_to_d65(white):
     adaptation = bradford_adaptation(white)
     expected = colour.adaptation.matrix_chromatic_adaptation_VonKries(
@@ -76,8 +76,6 @@ def test_adaptation_matches_colour_science_and_maps_white_to_d65(white):
     )
     np.testing.assert_allclose(adaptation, expected, rtol=1e-12, atol=1e-14)
     assert adaptation @ white == pytest.approx(D65_WHITE, rel=1e-12)
-    if white is D65_WHITE:
-        np.testing.assert_allclose(adaptation, np.eye(3), atol=1e-14)
 
 
 def narrow_band(nm, width=10.0):
@@ -103,22 +101,16 @@ def test_corrections_keep_white_and_differ_between_flash_and_daylight():
     assert flash.gains[2] > daylight.gains[2] * 1.05
 
 
-def test_raises_if_a_colour_does_not_see_the_light():
-    for correct in (colour_correction, white_balance_gains):
-        with pytest.raises(InputError, match="must see the reference light"):
-            correct(SENSOR, narrow_band(1050))
-
-
-@pytest.mark.parametrize("nm", [850.0, 950.0, 1050.0])
-def test_infrared_light_can_be_balanced_but_not_corrected(infrared_sensor, nm):
-    gains = white_balance_gains(infrared_sensor, narrow_band(nm))
+def test_infrared_light_can_be_balanced_but_not_corrected(infrared_sensor):
+    light = narrow_band(950.0)
+    gains = white_balance_gains(infrared_sensor, light)
     assert np.all(np.isfinite(gains))
     assert gains.min() == 1
     with pytest.raises(InputError, match="needs a visible reference light"):
-        colour_correction(infrared_sensor, narrow_band(nm))
-
-
-def test_raises_on_monochromatic_light():
+        colour_correction(infrared_sensor, light)
+    for correct in (colour_correction, white_balance_gains):
+        with pytest.raises(InputError, match="must see the reference light"):
+            correct(SENSOR, narrow_band(1050))
     with pytest.raises(InputError, match="of more colours"):
         colour_correction(SENSOR, narrow_band(600, 3))
 

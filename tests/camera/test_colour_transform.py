@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pepperscene.camera import (
@@ -44,23 +44,6 @@ def linear(electrons, camera):
     return correct_colours(camera_rgb(electrons, camera), camera)
 
 
-def test_given_numbers_are_used():
-    gains, matrix = colour_transform(camera_with(white_balance=GAINS, colour_matrix=MATRIX))
-    assert gains.dtype == matrix.dtype == np.float64
-    np.testing.assert_array_equal(gains, GAINS)
-    np.testing.assert_array_equal(matrix, MATRIX)
-
-
-def test_omitted_steps_are_identities():
-    camera = camera_with(white_balance=None, colour_matrix=False)
-    gains, matrix = colour_transform(camera)
-    np.testing.assert_array_equal(gains, np.ones(3))
-    np.testing.assert_array_equal(matrix, np.eye(3))
-    explicit = camera_with(white_balance=tuple(gains), colour_matrix=matrix)
-    electrons = electrons_up_to(0.9)
-    np.testing.assert_array_equal(linear(electrons, explicit), linear(electrons, camera))
-
-
 def test_result_can_be_modified_without_side_effects():
     camera = camera_with(flash=FLASH)
     gains, matrix = colour_transform(camera)
@@ -70,8 +53,7 @@ def test_result_can_be_modified_without_side_effects():
     np.testing.assert_array_equal(2 * colour_transform(camera)[0], gains)
 
 
-@pytest.mark.parametrize("balance", ["flash", "daylight"])
-@pytest.mark.parametrize("gain", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize(("balance", "gain"), [("flash", 0.5), ("daylight", 3.0)])
 def test_numbers_of_the_reference_light_give_the_same_image(balance, gain):
     named = camera_with(flash=FLASH, gain=gain, white_balance=balance)
     correction = reference_correction(named)
@@ -97,10 +79,14 @@ def test_given_gains_with_the_matrix_of_the_reference_light(flash, named):
 
 def test_given_matrix_with_the_gains_of_the_reference_light():
     camera = camera_with(flash=FLASH, colour_matrix=MATRIX)
-    np.testing.assert_array_equal(colour_transform(camera)[0], reference_correction(camera).gains)
-    np.testing.assert_array_equal(colour_transform(camera)[1], MATRIX)
+    gains, matrix = colour_transform(camera)
+    np.testing.assert_array_equal(gains, reference_correction(camera).gains)
+    np.testing.assert_array_equal(matrix, MATRIX)
     with pytest.raises(ValueError, match="needs a flash"):
         colour_transform(camera_with(colour_matrix=MATRIX))
+    gains, matrix = colour_transform(camera_with(white_balance=None, colour_matrix=False))
+    np.testing.assert_array_equal(gains, np.ones(3))
+    np.testing.assert_array_equal(matrix, np.eye(3))
 
 
 def test_monochrome_sensor_ignores_colours():
@@ -112,7 +98,6 @@ def test_monochrome_sensor_ignores_colours():
         colour_transform(camera)
 
 
-@settings(max_examples=50, deadline=None)
 @given(gains=ANY_GAINS, matrix=ANY_MATRIX)
 def test_below_saturation_the_image_is_matrix_times_gained_light(gains, matrix):
     camera = camera_with(white_balance=gains, colour_matrix=matrix, saturation=False)
@@ -123,18 +108,7 @@ def test_below_saturation_the_image_is_matrix_times_gained_light(gains, matrix):
     np.testing.assert_allclose(correct_colours(rgb, camera), expected, atol=tolerance)
 
 
-@settings(max_examples=50, deadline=None)
-@given(gains=ANY_GAINS, factor=st.sampled_from([0.25, 0.5, 2.0, 4.0]))
-def test_scaling_all_gains_scales_the_image(gains, factor):
-    # Including clipped light, and to the last bit, because the factors are powers of two.
-    one = camera_with(white_balance=gains, colour_matrix=MATRIX)
-    other = camera_with(white_balance=tuple(factor * gain for gain in gains), colour_matrix=MATRIX)
-    electrons = electrons_up_to()
-    np.testing.assert_array_equal(linear(electrons, other), np.float32(factor) * linear(electrons, one))
-
-
-@settings(max_examples=50, deadline=None)
-@given(gains=ANY_GAINS, gain=st.sampled_from([0.5, 1.0, 3.0]))
+@given(gains=ANY_GAINS, gain=st.sampled_from([0.5, 3.0]))
 def test_overexposed_light_is_neutral_for_any_gains(gains, gain):
     camera = camera_with(gain=gain, white_balance=gains, colour_matrix=False)
     image = linear(np.full((8, 12, 3), 10 * SENSOR.full_well_e), camera)
@@ -143,46 +117,23 @@ def test_overexposed_light_is_neutral_for_any_gains(gains, gain):
     assert np.ptp(image, axis=-1).max() <= 5e-3 * min(gains)
 
 
-@given(matrix=ANY_MATRIX)
-@settings(max_examples=20, deadline=None)
-def test_any_matrix_gives_an_image(matrix):
-    camera = camera_with(white_balance=GAINS, colour_matrix=matrix)
-    image = develop(electrons_up_to(), camera, np.random.default_rng(1))
-    assert image.dtype == np.uint8
-    assert image.shape == (8, 12, 3)
-
-
-@pytest.mark.parametrize("form", [tuple, list, np.array])
+@pytest.mark.parametrize("form", [list, np.array])
 def test_sequences_become_tuples_of_floats(form):
     developing = Developing(white_balance=form(GAINS), colour_matrix=form([form(row) for row in MATRIX]))
     assert developing == Developing(white_balance=GAINS, colour_matrix=MATRIX)
     assert hash(developing) == hash(Developing(white_balance=GAINS, colour_matrix=MATRIX))
-    assert replace(developing, tone="linear").white_balance == GAINS
     metadata = Camera(LENS, SENSOR, developing=developing).to_metadata()
     # And back from a frame's JSON.
     assert Developing(**json.loads(json.dumps(metadata, allow_nan=False))["developing"]) == developing
 
 
-def test_switches_and_defaults():
-    assert Developing(colour_matrix=np.bool_(False)).colour_matrix is False
-    assert Developing() == Developing(white_balance="flash", colour_matrix=True)
-
-
-@pytest.mark.parametrize(
-    "gains",
-    [(), (1.0, 1.0), (1.0, 0.0, 1.0), (1.0, -1.0, 1.0), (1.0, np.nan, 1.0), (1.0, np.inf, 1.0), (1e-3, 1, 1),
-     (1e3, 1, 1), 1.0, True, [(1.0, 1.0, 1.0)], "tungsten", ""],
-)  # fmt: skip
-def test_raises_on_invalid_gains(gains):
-    with pytest.raises(ValueError, match="white balance"):
-        Developing(white_balance=gains)
-
-
-@pytest.mark.parametrize(
-    "matrix",
-    [(), np.eye(2), np.eye(4), np.ones(9), np.full((3, 3), np.nan), np.diag([1, 1, np.inf]), 1.0, None,
-     np.diag([1, 1, 101.0])],
-)  # fmt: skip
-def test_raises_on_invalid_matrix(matrix):
-    with pytest.raises(ValueError, match="colour matrix"):
-        Developing(colour_matrix=matrix)
+def test_raises_on_invalid_gains_and_matrices():
+    for gains in (
+        (1.0, 1.0), (1.0, 0.0, 1.0), (1.0, -1.0, 1.0), (1.0, np.nan, 1.0), (1.0, np.inf, 1.0), (1e-3, 1, 1),
+        (1e3, 1, 1), 1.0, True, [(1.0, 1.0, 1.0)], "tungsten",
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="white balance"):
+            Developing(white_balance=gains)
+    for matrix in (np.eye(2), np.ones(9), np.full((3, 3), np.nan), 1.0, None, np.diag([1, 1, 101.0])):
+        with pytest.raises(ValueError, match="colour matrix"):
+            Developing(colour_matrix=matrix)

@@ -46,7 +46,7 @@ def with_developing(**choices):
     return replace(CAMERA, developing=Developing(**choices))
 
 
-@pytest.mark.parametrize("level", [0.01, 0.05, 0.2, 0.5, 0.9])
+@pytest.mark.parametrize("level", [0.01, 0.2, 0.9])
 def test_white_under_the_flash_is_neutral_within_a_code(level):
     image = develop(white_under_flash(level), with_developing(quantise=False)).astype(int)
     assert np.ptp(image, axis=-1).max() <= 1
@@ -55,20 +55,13 @@ def test_white_under_the_flash_is_neutral_within_a_code(level):
 
 @pytest.mark.parametrize(
     ("gain", "level", "tolerance"),
-    [(1.0, 1.0, 0), (1.0, 3.0, 0), (1.0, 1000.0, 0), (0.25, 5.0, 1), (0.5, 5.0, 1), (2.0, 5.0, 1)],
+    [(1.0, 1.0, 0), (1.0, 1000.0, 0), (0.25, 5.0, 1), (2.0, 5.0, 1)],
 )
 def test_overexposed_white_is_neutral_at_every_gain(gain, level, tolerance):
     camera = replace(CAMERA, sensor=SENSOR.with_settings(gain=gain))
     # With a gain below 1 a full well does not reach full scale, and the image stays that much darker.
     code = round(255 * float(colour.cctf_encoding(min(gain, 1.0), function="sRGB")))
     assert np.abs(develop(white_under_flash(level), camera).astype(int) - code).max() <= tolerance
-
-
-def test_gain_brightens_like_light():
-    doubled = replace(CAMERA, sensor=SENSOR.with_settings(gain=2.0, bits=16))
-    unit = replace(CAMERA, sensor=SENSOR.with_settings(bits=16))
-    dim, bright = (white_under_flash(level) * [0.2, 0.6, 0.9] for level in (0.3, 0.6))
-    assert np.abs(develop(bright, unit).astype(int) - develop(dim, doubled)).max() <= 1
 
 
 def test_without_saturation_light_beyond_the_full_well_counts():
@@ -83,11 +76,6 @@ def test_without_saturation_light_beyond_the_full_well_counts():
 def test_darkness_and_negative_electrons_are_black():
     assert not develop(uniform(0), CAMERA).any()
     assert not develop(uniform(-5), CAMERA).any()
-
-
-def test_codes_increase_with_light():
-    codes = [develop(white_under_flash(level), CAMERA)[0, 0].astype(int) for level in np.linspace(0, 1.2, 60)]
-    assert np.all(np.diff(codes, axis=0) >= 0)
 
 
 def test_each_step_can_be_left_out():
@@ -160,22 +148,12 @@ def test_every_code_survives_decoding_and_encoding(tone):
     # In single precision, in which images are developed, too; and for any type of the codes.
     np.testing.assert_array_equal(encode_tone(light, tone), CODES)
     np.testing.assert_array_equal(encode_tone(light.astype(np.float32), tone), CODES)
-    for dtype in (np.uint16, np.float32, np.float64):
-        np.testing.assert_allclose(decode_tone(CODES.astype(dtype), tone), light, rtol=1e-14)
-
-
-def test_decoding_matches_colour_science():
-    for codes, tolerance in ((CODES, 1e-12), (np.linspace(0, 255, 5000), 1e-6)):
-        expected = colour.cctf_decoding(codes / 255, function="sRGB")
-        np.testing.assert_allclose(decode_tone(codes), expected, rtol=tolerance)
-        np.testing.assert_array_equal(decode_tone(codes, "linear"), codes / 255)
-
-
-def test_decoding_keeps_shapes_clips_and_returns_a_new_array():
-    assert decode_tone(CODES.reshape(4, 64)).shape == (4, 64)
-    np.testing.assert_array_equal(decode_tone([[-1.0, 256.0]]), [[0.0, 1.0]])
-    decode_tone(CODES)[:] = 7.0
-    assert decode_tone(CODES).max() == 1.0
+    np.testing.assert_allclose(decode_tone(CODES.astype(np.float32), tone), light, rtol=1e-14)
+    expected = CODES / 255 if tone == "linear" else colour.cctf_decoding(CODES / 255, function="sRGB")
+    np.testing.assert_allclose(light, expected, rtol=1e-12)
+    np.testing.assert_array_equal(decode_tone([[-1.0, 256.0]], tone), [[0.0, 1.0]])
+    light[:] = 7.0
+    assert decode_tone(CODES, tone).max() == 1.0
 
 
 BLACK = replace(CAMERA, sensor=replace(SENSOR, columns=200, rows=150))
@@ -191,8 +169,7 @@ def lifted(camera, value):
     return replace(camera, developing=replace(camera.developing, pedestal=value))
 
 
-@pytest.mark.parametrize("name", ["ueye_ui5250re", "generic_rgb", "nikon_d5100", "onsemi_mt9v024"])
-@pytest.mark.parametrize("white_balance", ["flash", "daylight"])
+@pytest.mark.parametrize(("name", "white_balance"), [("ueye_ui5250re", "flash"), ("nikon_d5100", "daylight")])
 def test_automatic_pedestal_makes_black_neutral(name, white_balance):
     sensor = load_sensor(name)
     camera = replace(BLACK, sensor=replace(sensor, columns=200, rows=150))
@@ -200,15 +177,11 @@ def test_automatic_pedestal_makes_black_neutral(name, white_balance):
     means = black_codes(lifted(camera, "auto")).mean(axis=0)
     # 30,000 pixels of a deviation below 20 codes: 0.12 in the mean, and 1 for the choice of the pedestal.
     assert np.ptp(means) < 1.4
+    before = black_codes(camera)
+    assert white_balance == "daylight" or np.ptp(before.mean(axis=0)) > 4
     # Not brighter than needed: the mean light of black is that of the pedestal and of less noise than before.
     light = decode_tone(black_codes(lifted(camera, "auto"))).mean(axis=0)
-    assert (
-        light.max() < pedestal(lifted(camera, "auto")) + decode_tone(black_codes(camera)).mean(axis=0).max()
-    )
-
-
-def test_black_is_coloured_without_a_pedestal():
-    assert np.ptp(black_codes(BLACK).mean(axis=0)) > 4
+    assert light.max() < pedestal(lifted(camera, "auto")) + decode_tone(before).mean(axis=0).max()
 
 
 def test_pedestal_lifts_black_keeps_white_and_is_invertible():
@@ -223,12 +196,9 @@ def test_pedestal_lifts_black_keeps_white_and_is_invertible():
 
 def test_automatic_pedestal_is_the_noise_of_black_and_0_without_noise():
     camera = lifted(CAMERA, "auto")
-    linear = correct_colours(
-        camera_rgb(
-            np.zeros((150, 200, 3)), replace(BLACK, developing=camera.developing), np.random.default_rng(5)
-        ),
-        camera,
-    )
+    black = replace(BLACK, developing=camera.developing)
+    rgb = camera_rgb(np.zeros((150, 200, 3)), black, np.random.default_rng(5))
+    linear = correct_colours(rgb, camera)
     assert pedestal(camera) == pytest.approx(0.7 * linear.std(axis=(0, 1)).max(), rel=0.03)
     # Twice the gain shows twice the read noise.
     doubled = replace(camera, sensor=SENSOR.with_settings(gain=2.0, bits=16))
@@ -238,9 +208,6 @@ def test_automatic_pedestal_is_the_noise_of_black_and_0_without_noise():
     assert pedestal(silent) == 0.0
     mono = replace(load_sensor("onsemi_mt9v024_mono"), columns=40, rows=30)
     assert pedestal(replace(camera, sensor=mono)) == 0.0
-
-
-@pytest.mark.parametrize("value", [-0.01, 0.26, float("nan")])
-def test_raises_on_invalid_pedestal(value):
-    with pytest.raises(ValueError, match=r'a pedestal must be "auto", or 0 to 0\.25'):
-        Developing(pedestal=value)
+    for value in (-0.01, 0.26, float("nan")):
+        with pytest.raises(ValueError, match=r'a pedestal must be "auto", or 0 to 0\.25'):
+            Developing(pedestal=value)

@@ -11,18 +11,14 @@ import tomli_w
 from pepperscene.camera import Filter, load_filter, load_flash, load_lens, load_projector, load_sensor
 from pepperscene.errors import InputError
 from pepperscene.shipped import shipped_folder
-from pepperscene.spectra import Spectrum, read_spectra, read_spectrum, sky_spectrum
+from pepperscene.spectra import Spectrum, read_spectrum
 
 FOLDER = shipped_folder("materials")
 LOADERS = {
-    "sensors": load_sensor,
-    "lenses": load_lens,
-    "flashes": load_flash,
-    "filters": load_filter,
+    "sensors": load_sensor, "lenses": load_lens, "flashes": load_flash, "filters": load_filter,
     "projectors": load_projector,
-}
+}  # fmt: skip
 SHIPPED = [(kind, path.stem) for kind in LOADERS for path in sorted((FOLDER / kind).glob("*.toml"))]
-FILTERS = [name for kind, name in SHIPPED if kind == "filters"]
 NM = np.arange(300.0, 1201.0)
 
 
@@ -44,24 +40,6 @@ def test_camera_of_the_paper():
     assert sensor.quantum_efficiency.at([700.0, 800.0]).max() < 1e-3
 
 
-def test_other_shipped_sensors():
-    assert load_sensor("ueye_ui5250re_full").site_shape == load_sensor("ueye_ui5250re").site_shape
-    assert load_sensor("onsemi_mt9v024_full").site_shape == load_sensor("onsemi_mt9v024").site_shape
-    nikon, mono = load_sensor("nikon_d5100"), load_sensor("onsemi_mt9v024_mono")
-    assert (nikon.columns, nikon.rows, nikon.site_shape) == (1232, 816, (3264, 4928))
-    # Green sees most photons around 530 nm, and no colour sees infrared.
-    assert nikon.quantum_efficiency.at([520, 530, 540])[1].max() == pytest.approx(0.465, abs=1e-5)
-    assert nikon.quantum_efficiency.at([750, 850]).max() < 1e-4
-    # Without dyes nothing is lost: at least as good as the best colour of the same die, and equal in the
-    # infrared.
-    assert (mono.channels, mono.site_shape) == (1, (480, 752))
-    colours = read_spectra(FOLDER / "sensors" / "spectra" / "onsemi_mt9v024_rgb_qe.csv").values()
-    nm = np.arange(380.0, 1081.0, 10)
-    best = np.max([colour.at(nm) for colour in colours], axis=0)
-    assert np.all(mono.quantum_efficiency.at(nm)[0] >= best - 1e-5)
-    np.testing.assert_allclose(mono.quantum_efficiency.at(nm[nm > 850])[0], best[nm > 850], atol=1e-5)
-
-
 def test_infrared_cut_multiplies_the_efficiency():
     efficiency = load_sensor("onsemi_mt9v024").quantum_efficiency
     # The tables at 540 nm: the filter's 0.93055 times the green photosite's 0.61696 or less.
@@ -76,34 +54,10 @@ def test_electrons_per_joule_of_a_known_wavelength():
     np.testing.assert_allclose(sensor.electrons_per_joule(500.0), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", FILTERS)
-def test_shipped_filter_is_clear_somewhere_and_multiplies_a_sensor(name):
-    sensor, transmittance = load_sensor("onsemi_mt9v024"), load_filter(name).transmittance
-    assert transmittance.at(NM).min() >= 0
-    assert 0.85 < transmittance.at(NM).max() <= 1
-    behind = sensor.with_filter(transmittance)
-    # At the nodes of both curves; in between a product of lines is not a line.
-    nm = np.union1d(sensor.quantum_efficiency.wavelength_nm, transmittance.wavelength_nm)
-    expected = sensor.quantum_efficiency.at(nm) * transmittance.at(nm)
-    np.testing.assert_allclose(behind.quantum_efficiency.at(nm), expected, rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize("name", ["schott_22022010", "largan_k098_bir690uv"])
-def test_infrared_cuts_pass_the_visible_and_stop_the_infrared(name):
-    transmittance = load_filter(name).transmittance
-    assert transmittance.at([450.0, 500, 550]).min() > 0.75
-    assert transmittance.at(np.arange(760.0, 1000.0)).max() < 0.02
-
-
-def test_band_pass_follows_its_formula_and_matches_the_infrared_flash():
+def test_band_pass_follows_its_formula():
     transmittance = load_filter("bandpass_850nm").transmittance.at(NM)
     expected = 0.9 / ((1 + np.exp((820 - NM) / 3)) * (1 + np.exp((NM - 880) / 3)))
     np.testing.assert_allclose(transmittance, expected, rtol=0, atol=1e-5)
-    # Nine tenths of the LED pass the band, and no daylight below 740 nm.
-    led = load_flash("led_nir_850nm").spectrum
-    passed = np.trapezoid(led.at(NM) * transmittance, NM) / led.integral()
-    assert passed == pytest.approx(0.9 * 0.92, abs=0.02)
-    assert np.max((sky_spectrum("d65").at(NM) * transmittance)[NM < 740]) == 0
 
 
 @pytest.mark.parametrize("values", [[0.1, 1.1], [-0.1, 0.5], [[0.1, 0.2], [0.3, 0.4]]])
@@ -165,9 +119,7 @@ INVALID = [
     ("sensors", lambda t: t.update(binning=1, columns=1601), r"1601 x 600 photosites hold no whole Bayer"),
     ("sensors", put("pattern", "rgb"), r"pattern = 'rgb'"),
     ("sensors", put("pattern", "mono"), r"columns must name 1 for the pattern mono"),
-    ("sensors", put("bits", "ten"), r"bits = 'ten'"),
     ("sensors", put("black_level_dn", 1023), r"black_level_dn must be below"),
-    ("sensors", put("colour", "blue"), r"colour: is not a known key"),
     ("sensors", drop("full_well_e"), r"full_well_e: is required"),
     ("sensors", drop("sources", "bits"), r"\[sources\].*\bbits\b"),
     ("sensors", put("sources", "weight", "scales"), r"\[sources\].*\bweight\b"),
@@ -175,28 +127,19 @@ INVALID = [
     ("sensors", put("quantum_efficiency", "columns", ["r", "g", "x"]), r"MODEL\.csv.*'x'"),
     ("sensors", put("quantum_efficiency", "columns", ["r", "g"]), r"columns must name 3 for the pattern"),
     ("lenses", put("distortion", "k1", float("nan")), r"distortion\.k1 = nan"),
-    ("lenses", put("distortion", "k7", 0.1), r"distortion\.k7: is not a known key"),
-    ("lenses", put("principal_offset_mm", [0.1]), r"principal_offset_mm"),
     ("lenses", put("principal_offset_mm", [0.1, -0.2]), r"\[sources\].*principal_offset_mm"),
     ("lenses", put("vignetting", "relative", [1, 1, 1, 1, 1, 2.5]), r"vignetting\.relative\.5 = 2\.5"),
     ("lenses", put("vignetting", "relative", [1, 1]), r"vignetting: .*equally long"),
     ("lenses", put("vignetting", "relative", [0.9, 0.9, 0.9, 0.8, 0.8, 0.7]), r"1 at angle 0"),
     ("lenses", put("vignetting", "angle_deg", [0, 15, 25, 20, 42, 50]), r"increasing list"),
     ("flashes", put("profile", "angle_deg", [0, 20, 10, 26, 35, 45, 65]), r"profile: angles must be one"),
-    ("flashes", put("profile", "relative_intensity", [2.0] * 7), r"1 at angle 0"),
-    ("flashes", put("irradiance_W_m2", 600.0), r"\[sources\].*irradiance_W_m2"),
-    ("flashes", put("offset_mm", [0, 1]), r"offset_mm"),
     ("flashes", put("matrix", "pitch_mm", 2.9), r"at most half of matrix\.pitch_mm"),
-    ("flashes", drop("sources", "matrix"), r"\[sources\].*\bmatrix\b"),
     ("flashes", put("profile", NARROW), r"profile: does not fit the other values: .*no light of the profile"),
     ("flashes", put("spectrum", "file", "light/no_such"), r"spectrum\.file = 'light/no"),
     ("flashes", put("spectrum", "file", "light/astm_g173_300_1100"), r"'lumileds_cool_white': is not one of"),
     ("filters", put("transmittance", "file", "no.csv"), r"transmittance\.file = 'no\.csv': is not a file"),
     ("filters", put("transmittance", "column", "x"), r"'x': is not one of"),
-    ("filters", put("kind", "guessed"), r"kind = 'guessed'"),
-    ("filters", drop("transmittance", "column"), r"transmittance\.column: is required"),
     ("filters", drop("sources", "transmittance"), r"\[sources\].*\btransmittance\b"),
-    ("filters", put("width_mm", 3), r"width_mm: is not a known key"),
 ]
 
 
@@ -219,11 +162,7 @@ TABLES = {
     [
         ("rgb", f"{RGB}\n500,.1,nan,.3", r"row 3, column g = 'nan'"),
         ("rgb", f"{RGB}\n500,.1,-.2,.3", r"row 3, column g = -0\.2: must be at least 0"),
-        ("rgb", f"{RGB}\n300,.1,.2,.3", r"row 3, column wavelength_nm = 300"),
         ("rgb", f"{RGB}\n500,.1,1.2,.3", r"row 3, column g = 1\.2: must be at most 1"),
-        ("rgb", f"{RGB}\n500,.1,.3", r"row 3"),
-        ("rgb", "nm,r,g,b\n400,.1,.2,.3\n700,.1,.2,.3", r"wavelength_nm"),
-        ("rgb", "", r"wavelength_nm"),
         ("cut", f"{CURVE}\n700,1.5", r"row 3, column t = 1\.5: must be at most 1"),
         ("filter", f"{CURVE}\n700,1.2", r"row 3, column t = 1\.2: must be at most 1"),
         ("filter", f"{CURVE}\n700,-.2", r"row 3, column t = -0\.2: must be at least 0"),
@@ -274,32 +213,20 @@ def test_only_a_flash_in_lux_needs_visible_light(tmp_path):
     assert (flash.illuminance_lx, flash.irradiance_W_m2) == (None, 40)
     # A triangle of 100 nm: its peak is 40 W/m2 over 50 nm.
     assert flash.irradiance().at(850.0)[0] == pytest.approx(0.8)
-
-
-def test_flash_needs_some_light(tmp_path):
-    path = infrared(tmp_path, without_lux, with_watts, put("spectrum", "column", "none"))
+    (tmp_path / "none").mkdir()
+    dark = infrared(tmp_path / "none", without_lux, with_watts, put("spectrum", "column", "none"))
     with pytest.raises(InputError, match=r"spectrum\.column = 'none': must contain some light"):
-        load_flash(path)
+        load_flash(dark)
 
 
-@pytest.mark.parametrize(
-    ("file", "column"),
-    [
-        ("light/houser2013_cool_white_led", "slide_4_lumileds_cool_white"),
-        ("light/nist_phosphor_led_colour_science.csv", "phos_1"),
-        ("light/cie_illuminants_colour_science", "led_b3"),
-    ],
-)
-def test_flash_can_use_a_shipped_led(tmp_path, file, column):
-    change = put("spectrum", {"file": file, "column": column})
-    path = copy_of(tmp_path, "flashes", NAMES["flashes"], change)
+def test_flash_can_use_a_shipped_led_or_one_beside_its_file(tmp_path):
+    file, column = "light/nist_phosphor_led_colour_science.csv", "phos_1"
+    spectrum = put("spectrum", {"file": file, "column": column})
+    path = copy_of(tmp_path, "flashes", NAMES["flashes"], spectrum)
     np.testing.assert_array_equal(load_flash(path).spectrum.values, read_spectrum(file, column).values)
-    # A file beside the flash's takes precedence.
-    beside = tmp_path / f"{file.removesuffix('.csv')}.csv"
-    beside.parent.mkdir()
-    beside.write_text(f"wavelength_nm,{column}\n500,1\n600,1", encoding="utf-8")
-    if file.endswith(".csv"):
-        np.testing.assert_array_equal(load_flash(path).spectrum.values, [1, 1])
+    (tmp_path / "light").mkdir()
+    (tmp_path / file).write_text(f"wavelength_nm,{column}\n500,1\n600,1", encoding="utf-8")
+    np.testing.assert_array_equal(load_flash(path).spectrum.values, [1, 1])
 
 
 def test_flash_without_a_matrix_is_one_emitter(tmp_path):
@@ -312,19 +239,18 @@ def test_flash_without_a_matrix_is_one_emitter(tmp_path):
     assert flash.radius_m == pytest.approx(0.03)
 
 
-def test_matrix_is_centred(tmp_path):
+def test_a_matrix_is_centred_and_offsets_are_in_millimetres(tmp_path):
     matrix = put("matrix", {"columns": 3, "rows": 2, "pitch_mm": 10.0})
     flash = load_flash(copy_of(tmp_path, "flashes", NAMES["flashes"], matrix))
     expected = [[x, y] for y in (-0.005, 0.005) for x in (-0.01, 0.0, 0.01)]
     np.testing.assert_allclose(flash.emitters_m, expected, atol=1e-15)
 
-
-def test_principal_point_is_in_millimetres(tmp_path):
-    def change(table):
+    def move_axis(table):
         table["principal_offset_mm"] = [0.12, -0.05]
         table["sources"]["principal_offset_mm"] = "calibrated"
 
-    lens = load_lens(copy_of(tmp_path, "lenses", "lensagon_cmfa0420nd", change))
+    (tmp_path / "lens").mkdir()
+    lens = load_lens(copy_of(tmp_path / "lens", "lenses", "lensagon_cmfa0420nd", move_axis))
     assert lens.principal_offset_m == pytest.approx((1.2e-4, -5e-5))
 
 
@@ -350,7 +276,7 @@ def test_own_files_need_neither_sources_nor_a_licence(tmp_path, kind):
     [
         (
             {"k5": 0.1},
-            r"distortion: k5 is not a coefficient of the model plumb_bob, which has k1, k2, p1, p2, k3",
+            r"distortion: k5 is not a coefficient of the model plumb_bob, which has k1, k2, p1, p2",
         ),
         (
             {"model": "equidistant", "p1": 0.1},

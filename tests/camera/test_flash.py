@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pepperscene.camera import AngularProfile, Flash, load_flash
@@ -17,7 +17,7 @@ MATRIX, INFRARED = load_flash("led_matrix_200klx"), load_flash("led_nir_850nm")
 DISC = replace(MATRIX, emitters_m=np.zeros((1, 2)), radius_m=0.03)
 
 
-def closed_form(profile: AngularProfile, radius_m: float, at_m: float) -> float:
+def closed_form(profile, radius_m, at_m):
     """I / E of one centred disc: E = I 2 / a^2 * integral of p(theta) sin(theta) from 0 to atan(a / d).
 
     An element dA emits I p(theta) dA / (pi a^2) towards the plane's centre, at the distance d / cos(theta)
@@ -32,27 +32,11 @@ def closed_form(profile: AngularProfile, radius_m: float, at_m: float) -> float:
     return radius_m**2 / (2 * pieces.sum())
 
 
-def disc_of(relative, radius_m):
-    angle = np.linspace(0, np.pi / 2, 4001)
-    return replace(DISC, profile=AngularProfile(angle, relative(angle)), radius_m=radius_m)
-
-
 def test_point_follows_the_inverse_square_law():
-    point = replace(DISC, radius_m=0.0)
+    # A flash is a point unless stated otherwise.
+    point = Flash("mine", MATRIX.spectrum, 0.5, MATRIX.profile, illuminance_lx=100.0)
     assert point.axial_area_m2 == pytest.approx(0.25, rel=1e-14)
     assert replace(point, at_m=2.0).axial_area_m2 == pytest.approx(4.0, rel=1e-14)
-
-
-@pytest.mark.parametrize("radius", [1e-6, 0.03, 0.4])
-def test_lambertian_disc(radius):
-    # E = pi L a^2 / (a^2 + d^2) and I = pi a^2 L, so I / E = a^2 + d^2.
-    assert disc_of(np.cos, radius).axial_area_m2 == pytest.approx(radius**2 + 0.25, rel=1e-6)
-
-
-def test_isotropic_disc():
-    # E = I 2 / a^2 (1 - cos of the disc's half-angle).
-    expected = 0.3**2 / 2 / (1 - 0.5 / np.hypot(0.3, 0.5))
-    assert disc_of(np.ones_like, 0.3).axial_area_m2 == pytest.approx(expected, rel=1e-12)
 
 
 def test_disc_with_a_sharp_beam():
@@ -70,7 +54,9 @@ def test_lambertian_disc_beside_the_axis(offset):
     h, r = height / distance, radius / distance
     z = 1 + h**2 + r**2
     factor = (1 - (z - 2 * r**2) / np.sqrt(z**2 - 4 * r**2)) / 2
-    flash = replace(disc_of(np.cos, radius), emitters_m=np.array([offset]))
+    angle = np.linspace(0, np.pi / 2, 4001)
+    profile = AngularProfile(angle, np.cos(angle))
+    flash = replace(DISC, profile=profile, radius_m=radius, emitters_m=np.array([offset]))
     assert flash.axial_area_m2 == pytest.approx(radius**2 / factor, rel=1e-6)
 
 
@@ -79,7 +65,6 @@ def test_lambertian_disc_beside_the_axis(offset):
     at=st.floats(0.05, 2.0),
     steps=st.lists(st.tuples(st.floats(0.02, 0.5), st.floats(0.05, 1.0)), min_size=1, max_size=6),
 )
-@settings(max_examples=150, deadline=None)
 def test_disc_of_any_profile(radius, at, steps):
     angle = np.concatenate([[0.0], np.cumsum([step for step, _ in steps]), [1.55]])
     relative = np.concatenate([[1.0], [value for _, value in steps], [0.0]])
@@ -124,21 +109,6 @@ def test_strength_in_lux_or_watts_is_reproduced():
     np.testing.assert_allclose(same.radiant_intensity(nm), MATRIX.radiant_intensity(nm), rtol=1e-12)
 
 
-def test_beam_is_narrower_than_the_image():
-    relative = MATRIX.profile.at(np.deg2rad([0, 18, 41, 47, 66]))
-    assert relative[0] == 1
-    assert relative[1] == pytest.approx(0.5)
-    assert relative[2] < 0.05
-    assert relative[3] < 0.02
-    assert relative[4] == 0
-
-
-def test_default_flash_is_a_point():
-    flash = Flash("mine", MATRIX.spectrum, 1.0, MATRIX.profile, illuminance_lx=100.0)
-    np.testing.assert_array_equal(flash.emitters_m, [[0, 0]])
-    assert flash.axial_area_m2 == pytest.approx(1.0)
-
-
 DARK = replace(MATRIX.spectrum, values=np.zeros_like(MATRIX.spectrum.values))
 NARROW = AngularProfile(np.array([0, 0.01]), np.array([1.0, 0.0]))
 
@@ -148,20 +118,15 @@ NARROW = AngularProfile(np.array([0, 0.01]), np.array([1.0, 0.0]))
     [
         ({"spectrum": DARK}, "spectrum"),
         ({"spectrum": INFRARED.spectrum}, "no lux"),
-        ({"spectrum": DARK, "illuminance_lx": None, "irradiance_W_m2": 1.0}, "spectrum"),
         ({"irradiance_W_m2": 5.0}, "exactly one"),
         ({"illuminance_lx": None}, "exactly one"),
         ({"illuminance_lx": 0.0}, "positive"),
-        ({"illuminance_lx": np.nan}, "positive"),
         ({"at_m": 0.0}, "positive"),
         ({"radius_m": -1e-3}, "radius"),
         ({"emitters_m": np.zeros((0, 2))}, "emitters"),
-        ({"emitters_m": np.zeros(2)}, "emitters"),
-        ({"emitters_m": np.full((1, 2), np.nan)}, "emitters"),
         ({"emitters_m": np.ones((3, 2)), "profile": NARROW}, "no light of the profile"),
         ({"rotation": 2 * np.eye(3)}, "rotation, without reflection"),
         ({"rotation": np.diag([1, 1, -1])}, "rotation, without reflection"),
-        ({"rotation": np.eye(2)}, "rotation, without reflection"),
     ],
 )
 def test_raises_on_invalid_flash(changes, message):

@@ -6,18 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pepperscene.camera import AngularProfile, Distortion, Lens, load_lens
 
 TYPICAL = load_lens("lensagon_cmfa0420nd_typical_distortion")
-# Barrel, pincushion and decentred, invertible up to a slope of 1.5 at least.
-DISTORTIONS = st.builds(
-    Distortion,
-    k1=st.floats(-0.07, 0.3), k2=st.floats(0.0, 0.1), k3=st.floats(0.0, 0.02),
-    p1=st.floats(-0.005, 0.005), p2=st.floats(-0.005, 0.005),
-)  # fmt: skip
 
 
 def disc(radius):
@@ -37,11 +31,7 @@ def disc(radius):
         (Distortion(k3=0.001), (1.0, 1.0), (1.008, 1.008)),
         (Distortion(p1=0.01), (1.0, 2.0), (1.04, 2.13)),
         (Distortion(p2=0.01), (1.0, 2.0), (1.07, 2.04)),
-        (
-            Distortion(-0.1, 0.02, 0.001, -0.002, -0.001),
-            (0.6, -0.8),
-            (0.6 * 0.919 - 0.00096 - 0.00344, -0.8 * 0.919 + 0.00228 + 0.00192),
-        ),
+        (Distortion(-0.1, 0.02, 0.001, -0.002, -0.001), (0.6, -0.8), (0.547, -0.731)),
     ],
 )
 def test_distortion_of_known_points(distortion, ideal, distorted):
@@ -52,22 +42,10 @@ def test_distortion_of_known_points(distortion, ideal, distorted):
     k1=st.floats(-0.2, 0.3), k2=st.floats(0.0, 0.1), k3=st.floats(0.0, 0.02),
     p1=st.floats(-0.005, 0.005), p2=st.floats(-0.005, 0.005),
 )  # fmt: skip
-@settings(max_examples=60, deadline=None)
 def test_undistort_inverts_distort(k1, k2, k3, p1, p2):
     distortion = Distortion(k1, k2, p1, p2, k3)
     ideal = disc(min(1.0, 0.9 * distortion.fold_radius))
     np.testing.assert_allclose(distortion.undistort(distortion.distort(ideal)), ideal, rtol=0, atol=1e-9)
-
-
-@given(distortion=DISTORTIONS)
-@settings(max_examples=30, deadline=None)
-def test_area_scale_is_the_jacobian(distortion):
-    ideal, step = disc(1.2), 1e-5
-    dx, dy = np.array([step, 0.0]), np.array([0.0, step])
-    along_x = (distortion.distort(ideal + dx) - distortion.distort(ideal - dx)) / (2 * step)
-    along_y = (distortion.distort(ideal + dy) - distortion.distort(ideal - dy)) / (2 * step)
-    expected = along_x[:, 0] * along_y[:, 1] - along_x[:, 1] * along_y[:, 0]
-    np.testing.assert_allclose(distortion.area_scale(ideal), expected, rtol=0, atol=1e-8)
 
 
 def test_fold_radius_is_where_the_distorted_radius_is_largest():
@@ -120,22 +98,9 @@ def test_profile_is_zero_or_held_beyond_its_last_angle():
     at = [0.25, 1.0, 1.01, 1.5]
     np.testing.assert_allclose(AngularProfile(angle, relative).at(at), [0.9, 0.4, 0, 0])
     np.testing.assert_allclose(AngularProfile(angle, relative, "hold").at(at), [0.9, 0.4, 0.4, 0.4])
-
-
-@pytest.mark.parametrize(
-    ("angle", "relative"),
-    [
-        ([0.1, 1], [1, 0]),
-        ([0, 1, 1], [1, 1, 0]),
-        ([0, np.nan], [1, 0]),
-        ([0, 2], [1, 0]),
-        ([0], [1]),
-        ([0, 1], [0.5, 0]),
-        ([0, 1], [1, -1]),
-        ([0, 1], [1, np.inf]),
-        ([0, 1], [1, 1, 1]),
-    ],
-)
-def test_raises_on_invalid_profile(angle, relative):
-    with pytest.raises(ValueError, match=r"angles|intensities"):
-        AngularProfile(np.array(angle, float), np.array(relative, float))
+    for angle, relative in (
+        ([0.1, 1], [1, 0]), ([0, 1, 1], [1, 1, 0]), ([0, np.nan], [1, 0]), ([0, 2], [1, 0]), ([0], [1]),
+        ([0, 1], [0.5, 0]), ([0, 1], [1, -1]), ([0, 1], [1, np.inf]), ([0, 1], [1, 1, 1]),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=r"angles|intensities"):
+            AngularProfile(np.array(angle, float), np.array(relative, float))

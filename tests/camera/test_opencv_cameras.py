@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pepperscene.camera import (
@@ -45,10 +43,7 @@ def project_with_opencv(camera, model, coefficients, points, fx=900.0, fy=912.0,
     vector, shift = cv2.Rodrigues(rotation)[0], -rotation @ camera.pose[:3, 3]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
-    if model == "equidistant":
-        pixels, _ = project(points[:, None], vector, shift, matrix, np.array(coefficients))
-    else:
-        pixels, _ = project(points, vector, shift, matrix, np.array(coefficients))
+    pixels, _ = project(points[:, None], vector, shift, matrix, np.array(coefficients))
     return pixels.reshape(-1, 2) + 0.5
 
 
@@ -78,7 +73,6 @@ def test_rays_of_pixel_centres_are_projected_back_to_them(model):
 
 
 @given(coefficients=st.tuples(*4 * [st.floats(-0.02, 0.05)]), half_angle=st.floats(5, 80))
-@settings(max_examples=60, deadline=None)
 def test_undistort_inverts_the_fisheye_model(coefficients, half_angle):
     distortion = FisheyeDistortion(*coefficients)
     radius = min(np.tan(np.radians(half_angle)), 0.95 * distortion.fold_radius)
@@ -87,16 +81,14 @@ def test_undistort_inverts_the_fisheye_model(coefficients, half_angle):
     np.testing.assert_allclose(back, ideal, rtol=1e-8, atol=1e-9)
 
 
-@pytest.mark.parametrize("model", ["rational_polynomial", "equidistant"])
+@each_model
 def test_area_scale_is_the_jacobian_of_the_model(model):
     distortion = make_distortion(model, COEFFICIENTS[model])
     ideal, step = np.random.default_rng(2).uniform(-0.8, 0.8, (500, 2)), 1e-5
     ideal[0] = 0
-    dx, dy = np.array([step, 0.0]), np.array([0.0, step])
-    along_x = (distortion.distort(ideal + dx) - distortion.distort(ideal - dx)) / (2 * step)
-    along_y = (distortion.distort(ideal + dy) - distortion.distort(ideal - dy)) / (2 * step)
-    expected = along_x[:, 0] * along_y[:, 1] - along_x[:, 1] * along_y[:, 0]
-    np.testing.assert_allclose(distortion.area_scale(ideal), expected, rtol=0, atol=1e-8)
+    ends = np.array([[distortion.distort(ideal + sign * d) for d in step * np.eye(2)] for sign in (-1, 1)])
+    jacobian = np.moveaxis((ends[1] - ends[0]) / (2 * step), 1, 0)
+    np.testing.assert_allclose(distortion.area_scale(ideal), np.linalg.det(jacobian), rtol=0, atol=1e-8)
 
 
 def test_fold_radii_of_closed_forms():
@@ -140,14 +132,10 @@ def test_a_fisheye_image_beyond_a_right_angle_is_refused_with_its_angle():
         camera_of("equidistant", (0, 0, 0, 0), fx=530.0, fy=530.0)
 
 
-def test_json_of_brown_and_conrady_has_their_five_coefficients_only():
-    distortion = Distortion(-0.1, 0.02, 0.001, -0.002, 0.003)
-    expected = '{"k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002, "k3": 0.003}'
-    assert json.dumps(distortion.to_json()) == expected
-
-
 @each_model
 def test_json_holds_the_model_and_its_coefficients(model):
     content = make_distortion(model, COEFFICIENTS[model]).to_json()
     name = content.pop("model", "plumb_bob")
     assert (name, tuple(content), tuple(content.values())) == (model, MODELS[model], COEFFICIENTS[model])
+    plain = Distortion(-0.1, 0.02, 0.001, -0.002, 0.003).to_json()
+    assert plain == {"k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002, "k3": 0.003}

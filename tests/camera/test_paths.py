@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
@@ -28,17 +28,11 @@ SPEED = 0.35
 HAIRPIN = np.array([[0, 0, 1], [1, 0, 1], [1.05, 0.02, 1], [1, 0.04, 1], [0, 0.05, 1]])
 
 
-def circle(count=64, turns=1.0):
-    angle = np.linspace(0, 2 * np.pi * turns, count + 1)
+def circle():
+    angle = np.linspace(0, 2 * np.pi, 65)
     points = np.stack([RADIUS * np.sin(angle), -RADIUS * np.cos(angle), np.full_like(angle, 1.2)], axis=-1)
-    points[-1] = points[0] if turns == 1 else points[-1]
+    points[-1] = points[0]
     return points
-
-
-def numerical_angular_velocity(rotation_before, rotation_after, interval_s):
-    """World axes; the mean over the interval."""
-    turn = Rotation.from_matrix(rotation_after @ np.swapaxes(rotation_before, -1, -2))
-    return turn.as_rotvec() / interval_s
 
 
 def test_circle_around_a_plant_has_its_radius_speed_curvature_and_angular_velocity():
@@ -57,10 +51,7 @@ def test_circle_around_a_plant_has_its_radius_speed_curvature_and_angular_veloci
     # Facing the axis, the camera turns counter-clockwise as it moves to +x in front of the plant.
     expected = np.tile([0, 0, SPEED / RADIUS], (101, 1))
     np.testing.assert_allclose(path.angular_velocity_rad_s, expected, atol=1e-5)
-
-
-def test_closed_circle_is_smooth_where_it_closes():
-    path = spline_trajectory(circle(), SPEED, count=50, look_at_m=(0, 0, 1.2))
+    # Smooth where it closes.
     np.testing.assert_allclose(path.poses[-1], path.poses[0], atol=1e-12)
     np.testing.assert_allclose(path.velocity_m_s[-1], path.velocity_m_s[0], atol=1e-12)
 
@@ -87,26 +78,17 @@ def test_arc_length_agrees_with_adaptive_integration(points):
     np.testing.assert_allclose(path.times_s[-1] * SPEED, length, rtol=1e-6)
 
 
-def test_hairpin_bend_is_travelled_at_constant_speed():
-    path = spline_trajectory(HAIRPIN, 1.0, count=4001, azimuth_rad=0.0)
-    chords = np.linalg.norm(np.diff(path.poses[:, :3, 3], axis=0), axis=1)
-    assert np.all(chords <= path.times_s[1] * (1 + 1e-9))  # in a bend, a chord is shorter than its arc
-    np.testing.assert_allclose(np.median(chords), path.times_s[1], rtol=1e-6)
-
-
-def test_curve_through_uneven_points_does_not_swing_out():
-    corner = np.array([[0, 0, 1], [2, 0, 1], [2.1, 0, 1], [2.1, 0.1, 1], [2.1, 2, 1.0]])
-    for points in (HAIRPIN, corner):
-        position = spline_trajectory(points, 1.0, count=1000, azimuth_rad=0.0).poses[:, :3, 3]
-        assert np.all((position > points.min(axis=0) - 0.1) & (position < points.max(axis=0) + 0.1))
-
-
-def test_curve_hits_all_points():
-    path = spline_trajectory(POINTS, SPEED, count=5001, azimuth_rad=0.0)
-    step = SPEED * path.times_s[1]
-    nearest = np.linalg.norm(path.poses[:, None, :3, 3] - POINTS, axis=-1).min(axis=0)
+@pytest.mark.parametrize("points", [POINTS, HAIRPIN], ids=["smooth", "hairpin"])
+def test_curve_hits_all_points_at_constant_speed_without_swinging_out(points):
+    path = spline_trajectory(points, SPEED, count=5001, azimuth_rad=0.0)
+    position, step = path.poses[:, :3, 3], SPEED * path.times_s[1]
+    nearest = np.linalg.norm(position[:, None] - points, axis=-1).min(axis=0)
     assert nearest.max() <= step / 2 + 1e-9
-    np.testing.assert_allclose(path.poses[[0, -1], :3, 3], POINTS[[0, -1]], atol=1e-12)
+    np.testing.assert_allclose(position[[0, -1]], points[[0, -1]], atol=1e-12)
+    chords = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    assert np.all(chords <= step * (1 + 1e-9))  # in a bend, a chord is shorter than its arc
+    np.testing.assert_allclose(np.median(chords), step, rtol=1e-6)
+    assert np.all((position > points.min(axis=0) - 0.1) & (position < points.max(axis=0) + 0.1))
 
 
 @pytest.mark.parametrize(
@@ -114,9 +96,8 @@ def test_curve_hits_all_points():
     [
         {"look_at_m": (0.9, 0.1, 1.0)},
         {"azimuth_rad": [0.0, 0.3, -0.2, 1.0, 2.0], "pitch_rad": [0.1, 0.5, 0.2, -0.6, 0.0]},
-        {"azimuth_rad": 0.4, "pitch_rad": [0.1, 0.5, 0.2, -0.6, 0.0]},
     ],
-    ids=["look_at", "per_point", "pitch_per_point"],
+    ids=["look_at", "per_point"],
 )
 def test_velocities_are_the_derivatives_of_the_poses(view):
     path = spline_trajectory(POINTS, SPEED, count=5001, **view)
@@ -124,7 +105,7 @@ def test_velocities_are_the_derivatives_of_the_poses(view):
     velocity = (path.poses[2:, :3, 3] - path.poses[:-2, :3, 3]) / interval
     np.testing.assert_allclose(path.velocity_m_s[1:-1], velocity, atol=5e-5)
     rotation = path.poses[:, :3, :3]
-    turn = numerical_angular_velocity(rotation[:-2], rotation[2:], interval)
+    turn = Rotation.from_matrix(rotation[2:] @ np.swapaxes(rotation[:-2], -1, -2)).as_rotvec() / interval
     # Second derivatives of the angles jump at the points.
     np.testing.assert_allclose(path.angular_velocity_rad_s[1:-1], turn, atol=1e-2)
     assert np.median(np.abs(path.angular_velocity_rad_s[1:-1] - turn)) < 1e-5
@@ -141,19 +122,11 @@ def test_direction_at_the_points_is_as_given_and_an_azimuth_is_not_wrapped():
     np.testing.assert_allclose(heading, [-10, 0, 10], atol=1e-9)
 
 
-def test_direction_agrees_with_the_arc_around_a_plant():
-    azimuth = np.array([-0.7, 0.0, 0.5])
-    arc = grid_poses(0.0, 0.5, 1.4, azimuth, 0.3)
-    path = spline_trajectory(arc[:, :3, 3], 1.0, count=2, azimuth_rad=azimuth, pitch_rad=0.3)
-    np.testing.assert_allclose(path.poses, arc[[0, 2]], atol=1e-12)
-
-
 def test_centre_moves_points_and_target():
     moved = spline_trajectory(POINTS, SPEED, count=5, look_at_m=(1, 0, 1), centre=(0.3, -0.2))
     still = spline_trajectory(POINTS, SPEED, count=5, look_at_m=(1, 0, 1))
-    np.testing.assert_allclose(
-        moved.poses[:, :3, 3] - still.poses[:, :3, 3], [(0.3, -0.2, 0)] * 5, atol=1e-12
-    )
+    shift = moved.poses[:, :3, 3] - still.poses[:, :3, 3]
+    np.testing.assert_allclose(shift, [(0.3, -0.2, 0)] * 5, atol=1e-12)
     np.testing.assert_allclose(moved.poses[:, :3, :3], still.poses[:, :3, :3], atol=1e-12)
 
 
@@ -171,22 +144,17 @@ def test_interval_that_divides_the_duration_includes_the_end():
         ({"points_m": POINTS[:1]}, "at least two"),
         ({"points_m": [[0, 0, np.nan], [1, 0, 0]]}, "finite"),
         ({"points_m": [[0, 0, 1], [1, 0, 1], [1, 0, 1]]}, "points 2 and 3 are equal"),
-        ({"points_m": [[0, 0, 1], [1, 0, 1], [1, 1e-30, 1]]}, "points 2 and 3 are equal, or nearly so"),
         ({"points_m": [[0, 0, 1], [1, 0, 1], [1, 1e-14, 1]]}, "points 2 and 3 are equal, or nearly so"),
         ({"points_m": [[0, 0, 1], [1, 0, 1], [0, 0, 1]]}, "turns back on itself"),
-        ({"points_m": [[0, 0, 1], [1, 0, 1], [0.2, 0, 1], [3, 0, 1]]}, "turns back on itself"),
         ({"speed_m_s": 0.0}, "speed must be positive"),
-        ({"speed_m_s": np.nan}, "speed must be positive"),
         ({"count": None}, "either a number of poses or an interval"),
         ({"frame_interval_s": 1.0}, "either a number of poses or an interval"),
         ({"count": 0}, "1 to 100,000 poses, not 0"),
-        ({"count": 100_001}, "1 to 100,000 poses, not 100,001"),
         ({"count": None, "frame_interval_s": 1e-12}, "1 to 100,000 poses"),
         ({"azimuth_rad": None}, "needs a point to look at, or an azimuth"),
         ({"look_at_m": (0, 0, 1)}, "not both"),
         ({"azimuth_rad": None, "look_at_m": np.ones((10, 3))}, "three coordinates"),
         ({"azimuth_rad": [0.0, 1.0]}, "one for each point"),
-        ({"azimuth_rad": np.inf}, "finite"),
         ({"pitch_rad": np.pi / 2}, "other than upwards or downwards"),
         ({"azimuth_rad": None, "look_at_m": POINTS[0] + [0, 0, 1]}, "other than upwards or downwards"),
     ],
@@ -198,7 +166,6 @@ def test_arguments_that_are_not_allowed(changes, message):
 
 
 @given(st.lists(st.tuples(*3 * [st.floats(-3, 3)]), min_size=2, max_size=8))
-@settings(max_examples=60, deadline=None)
 def test_any_points_give_a_constant_speed_or_one_sentence(points):
     try:
         path = spline_trajectory(points, SPEED, count=60, azimuth_rad=0.0)
@@ -237,6 +204,10 @@ def test_constant_acceleration_is_exact_and_two_poses_move_evenly():
     np.testing.assert_allclose(path.angular_velocity_rad_s, 0, atol=1e-12)
     pair = trajectory_from_poses(poses[:2], times[:2])
     np.testing.assert_allclose(pair.velocity_m_s[:, 0], 0.5, atol=1e-12)
+    one = trajectory_from_poses(poses[:1], [5.0], centre=(1.0, 2.0))
+    np.testing.assert_array_equal(one.velocity_m_s, np.zeros((1, 3)))
+    np.testing.assert_array_equal(one.angular_velocity_rad_s, np.zeros((1, 3)))
+    np.testing.assert_allclose(one.poses[0, :3, 3], [1, 1, 1])
 
 
 def test_angular_velocity_is_in_world_axes_for_a_camera_with_roll():
@@ -248,21 +219,6 @@ def test_angular_velocity_is_in_world_axes_for_a_camera_with_roll():
     path = trajectory_from_poses(poses, times)
     np.testing.assert_allclose(path.angular_velocity_rad_s, np.tile(rate * axis, (41, 1)), atol=1e-9)
     np.testing.assert_array_equal(path.velocity_m_s, 0)
-
-
-def test_spline_poses_give_their_velocities_back():
-    path = spline_trajectory(POINTS, SPEED, count=2000, look_at_m=(0.9, 0.1, 1.0))
-    again = trajectory_from_poses(path.poses, path.times_s)
-    np.testing.assert_allclose(again.velocity_m_s, path.velocity_m_s, atol=1e-4)
-    # At the ends the rate is the mean of an interval.
-    np.testing.assert_allclose(again.angular_velocity_rad_s, path.angular_velocity_rad_s, atol=2e-3)
-
-
-def test_single_pose_does_not_move():
-    path = trajectory_from_poses([look_at((0, -1, 1), (0, 0, 1))], [5.0], centre=(1.0, 2.0))
-    np.testing.assert_array_equal(path.velocity_m_s, np.zeros((1, 3)))
-    np.testing.assert_array_equal(path.angular_velocity_rad_s, np.zeros((1, 3)))
-    np.testing.assert_allclose(path.poses[0, :3, 3], [1, 1, 1])
 
 
 def test_timed_poses_that_are_not_allowed():
@@ -288,26 +244,17 @@ def test_trajectory_is_read_only_and_checks_its_shapes():
 
 
 def test_grid_is_the_product_of_its_lists_with_the_last_fastest():
+    # The robot of Barth et al. 2018: five distances and three angles.
+    distances, azimuths = [0.2, 0.3, 0.4, 0.5, 0.6], np.radians([-45, 0, 45])
+    protocol = protocol_poses(distances, azimuths, 1.5, 0.3, centre=(0.3, 0.05))
+    expected = grid_poses(0.0, distances, 1.5, azimuths, 0.3, centre=(0.3, 0.05))
+    np.testing.assert_allclose(protocol, expected, atol=1e-15)
     lists = ([0.0, 0.5], [0.4, 0.6], [1.0, 1.5, 2.0], [-0.5, 0.5], [0.0, 0.2])
     poses = grid_poses(*lists, centre=(0.2, 0.1))
     assert poses.shape == (48, 4, 4)
     for pose, (x, distance, height, azimuth, pitch) in zip(poses, itertools.product(*lists), strict=True):
         expected = arc_path(1, distance, (azimuth, azimuth), (height, height), pitch, centre=(0.2 + x, 0.1))
         np.testing.assert_allclose(pose, expected[0], atol=1e-15)
-
-
-def test_protocol_of_five_distances_and_three_angles():
-    # The robot of Barth et al. 2018: five distances and three angles; these numbers are examples.
-    distances, azimuths = [0.2, 0.3, 0.4, 0.5, 0.6], np.radians([-45, 0, 45])
-    poses = protocol_poses(distances, azimuths, 1.5, np.radians(20), centre=(0.3, 0.05))
-    assert poses.shape == (15, 4, 4)
-    to_axis = np.array([0.3, 0.05]) - poses[:, :2, 3]
-    np.testing.assert_allclose(np.linalg.norm(to_axis, axis=1), np.repeat(distances, 3), atol=1e-12)
-    np.testing.assert_allclose(np.arctan2(-to_axis[:, 0], to_axis[:, 1]), np.tile(azimuths, 5), atol=1e-12)
-    np.testing.assert_array_equal(poses[:, 2, 3], 1.5)
-    np.testing.assert_allclose(np.arcsin(poses[:, 2, 2]), np.radians(20), atol=1e-12)
-    cross = to_axis[:, 0] * poses[:, 1, 2] - to_axis[:, 1] * poses[:, 0, 2]
-    np.testing.assert_allclose(cross, 0, atol=1e-12)  # facing the axis
 
 
 def test_grids_that_are_not_allowed():

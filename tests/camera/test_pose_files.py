@@ -7,8 +7,6 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pepperscene.camera import (
@@ -76,25 +74,6 @@ def test_poses_without_names_and_times_keep_their_order(format, tmp_path):
     np.testing.assert_allclose(read_poses(tmp_path / FORMATS[format]).poses, poses.poses, atol=1e-12)
 
 
-@given(
-    quaternion=st.tuples(*4 * [st.floats(-1, 1)]).filter(lambda q: np.linalg.norm(q) > 0.1),
-    position=st.tuples(*3 * [st.floats(-1e3, 1e3)]),
-    format=st.sampled_from(list(FORMATS)),
-)
-@settings(max_examples=80, deadline=None)
-def test_any_pose_is_kept(quaternion, position, format, tmp_path_factory):
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), position
-    file = tmp_path_factory.mktemp("poses") / FORMATS[format]
-    write_poses(file, PoseList(pose[None], [1.5]), format)
-    again = read_poses(file).poses
-    assert np.abs(again[0, :3, 3] - position).max() <= 1e-9
-    assert angles_between(again, pose[None]).max() <= 1e-9
-
-
-# --- TUM -------------------------------------------------------------------------------------------------
-
-
 def test_tum_lines_are_camera_to_world_with_the_real_part_last(tmp_path):
     half = np.sqrt(0.5)
     text = (
@@ -109,9 +88,7 @@ def test_tum_lines_are_camera_to_world_with_the_real_part_last(tmp_path):
 def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
     poses = read_poses(written(tmp_path / "a.txt", "0 0 0 0 0.7068 0 0 0.7068\n"))
     np.testing.assert_allclose(np.linalg.det(poses.poses[0, :3, :3]), 1, atol=1e-12)
-    with pytest.raises(
-        InputError, match=r"b.txt: line 2 = .*: must be a quaternion of length 1 within 0.001"
-    ):
+    with pytest.raises(InputError, match=r"b.txt: line 2 = .*: must be a quaternion of length 1 within 0"):
         read_poses(written(tmp_path / "b.txt", "0 0 0 0 0 0 0 1\n1 0 0 0 0.71 0 0 0.71\n"))
 
 
@@ -119,11 +96,8 @@ def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
     ("text", "message"),
     [
         ("", "contains no poses"),
-        ("# only a comment\n", "contains no poses"),
         ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 1\n", "line 2: must have 8 numbers"),
-        ("0 0 0 0 0 0 0 1 5\n", "line 1: must have 8 numbers, .*, not 9"),
         ("0 0 nan 0 0 0 0 1\n", "line 1, ty = 'nan': must be a finite number"),
-        ("0 0 1e999 0 0 0 0 1\n", "line 1, ty = '1e999': must be a finite number"),
         ("0 0 1_0 0 0 0 0 1\n", "line 1, ty = '1_0': must be a finite number"),
         ("0 0 0 0 0 0 0 0\n", "line 1 = .*must be a quaternion"),
         ("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2, time = 1.0: must be after the time before it, 1.0"),
@@ -137,7 +111,7 @@ def test_tum_files_that_are_not_allowed(text, message, tmp_path):
         read_poses(written(tmp_path / "poses.txt", text))
 
 
-@pytest.mark.parametrize("times", [(0, 1e-6), (1.7e9, 1.7e9 + 1e-6), (-1e12, 1e12), (0, 1e-3)])
+@pytest.mark.parametrize("times", [(1.7e9, 1.7e9 + 1e-6), (-1e12, 1e12)])
 def test_times_of_the_whole_range_give_finite_velocities(times, tmp_path):
     text = "t_s,x_m,y_m,z_m,yaw_deg,pitch_deg\n"
     text += "".join(f"{time!r},{place},-0.8,1,{90 * place},0\n" for place, time in enumerate(times))
@@ -153,9 +127,6 @@ def test_more_than_100_000_poses_are_refused(tmp_path):
         read_poses(written(tmp_path / "poses.txt", text))
 
 
-# --- CSV -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("header", "row"),
     [("x_m,y_m,z_m", "0.1,-0.4,1.5"), ("x_mm,y_mm,z_mm", "100,-400,1500"), ("x,y,z", "0.1, -0.4, 1.5")],
@@ -167,19 +138,16 @@ def test_csv_units_and_targets(header, row, tmp_path):
     assert poses.names == ("first",)
 
 
-def test_csv_angles_agree_with_the_camera_path(tmp_path):
+def test_csv_angles_agree_with_the_camera_path_and_roll_is_clockwise(tmp_path):
     # Yaw is the azimuth of a camera that faces the plant, pitch its elevation.
     arc = arc_path(1, 0.4, (0.5, 0.5), (1.2, 1.2), 0.3)[0]
     x, y, z = arc[:3, 3]
     text = f"x_m,y_m,z_m,yaw_deg,pitch_deg\n{x},{y},{z},{np.degrees(0.5)},{np.degrees(0.3)}\n"
     poses = read_poses(written(tmp_path / "poses.csv", text))
     np.testing.assert_allclose(poses.poses[0], arc, atol=1e-12)
-
-
-def test_csv_roll_turns_the_camera_clockwise_as_seen_from_behind(tmp_path):
     text = "x,y,z,yaw_deg,pitch_deg,roll_deg\n0,0,1,0,0,90\n0,0,1,0,0,30\n"
     quarter, twelfth = read_poses(written(tmp_path / "poses.csv", text)).poses
-    # After a quarter turn clockwise, the camera's right side is down and it still looks along +y.
+    # After a quarter turn clockwise as seen from behind, the right side is down and it still looks along +y.
     np.testing.assert_allclose(quarter[:3, 0], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(quarter[:3, 2], [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(twelfth[:3, 0], [np.cos(np.pi / 6), 0, -np.sin(np.pi / 6)], atol=1e-12)
@@ -202,41 +170,24 @@ QUATERNIONS = "x,y,z,qx,qy,qz,qw"
     ("text", "message"),
     [
         ("", "contains no poses"),
-        (f"{QUATERNIONS}\n", "contains no poses"),
         ("x,y,z\n0,0,0\n", "header: has no orientation; allowed are"),
         (f"{QUATERNIONS},yaw_deg\n0,0,0,0,0,0,1,0\n", "header: has more than one kind of orientation"),
         ("x,y,z,yaw_deg\n0,0,0,0\n", "header: lacks the column pitch_deg"),
-        ("x,y,z,qx,qy,qz\n0,0,0,0,0,0\n", "header: lacks the column qw"),
         ("x_m,y_m,z_mm,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "header: must have x, y and z in one unit"),
         ("x,y,z,target_x_m,target_y_m\n0,0,0,0,0\n", "header: must have target_x, target_y and target_z"),
         (f"{QUATERNIONS},speed\n0,0,0,0,0,0,1,2\n", "header = 'speed': has an unknown column"),
         ("x,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "header = 'x': must name each column once"),
         (f"{QUATERNIONS}\n0,0,0,0,0,1\n", "line 2: must have 7 values, as many as the header, not 6"),
         (f"{QUATERNIONS}\n0,0,,0,0,0,1\n", "line 2, z = '': must be a finite number"),
-        (f"{QUATERNIONS}\n0,0,inf,0,0,0,1\n", "line 2, z = 'inf': must be a finite number"),
         (f"t_s,{QUATERNIONS}\n1,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n", "line 3, time = 1.0: must be after"),
-        (
-            f"t_s,{QUATERNIONS}\n1,0,0,0,0,0,0,1\n1.000000001,0,0,0,0,0,0,1\n",
-            "line 3, time = 1.000000001: must",
-        ),
-        (
-            f"t_s,{QUATERNIONS}\n0,0,0,0,0,0,0,1\n1e308,0,0,0,0,0,0,1\n",
-            r"line 3, time = 1e\+308: must be from",
-        ),
+        (f"t_s,{QUATERNIONS}\n0,0,0,0,0,0,0,1\n1e308,0,0,0,0,0,0,1\n", r"line 3, time = 1e\+308: must be"),
         (f"name,{QUATERNIONS}\n ,0,0,0,0,0,0,1\n", "line 2, name = '': must be a name"),
-        (
-            "x,y,z,target_x,target_y,target_z\n0,0,0,0,0,1\n",
-            "line 2: has a target that is not allowed: .*direction",
-        ),
-        ("0,0,0,0,0,0,0,1\n", "header = '0': must name each column once"),
+        ("x,y,z,target_x,target_y,target_z\n0,0,0,0,0,1\n", "line 2: has a target that is not allowed: .*di"),
     ],
 )
 def test_csv_files_that_are_not_allowed(text, message, tmp_path):
     with pytest.raises(InputError, match=f"poses.csv: {message}"):
         read_poses(written(tmp_path / "poses.csv", text))
-
-
-# --- nerfstudio ------------------------------------------------------------------------------------------
 
 
 def test_nerfstudio_camera_axes_are_right_up_and_backwards(tmp_path):
@@ -248,14 +199,6 @@ def test_nerfstudio_camera_axes_are_right_up_and_backwards(tmp_path):
     assert poses.names == ("images/b.png",)
 
 
-def test_nerfstudio_frames_keep_the_order_of_the_file(tmp_path):
-    poses = random_poses(5)
-    write_poses(tmp_path / "transforms.json", replace(poses, names=("c", "a", "e", "b", "d")), "nerfstudio")
-    again = read_poses(tmp_path)
-    assert again.names == ("c", "a", "e", "b", "d")
-    np.testing.assert_allclose(again.poses, poses.poses, atol=1e-12)
-
-
 def test_nerfstudios_conversion_of_a_colmap_model_is_undone(tmp_path):
     poses = random_poses(8)
     # As `colmap_to_json` of nerfstudio: turn the camera's axes, then the world by rows.
@@ -265,10 +208,8 @@ def test_nerfstudios_conversion_of_a_colmap_model_is_undone(tmp_path):
     matrices[:, 2] *= -1
     applied = np.eye(4)[[0, 2, 1], :]
     applied[2] *= -1
-    content = {
-        "applied_transform": applied.tolist(),
-        "frames": [{"transform_matrix": matrix.tolist()} for matrix in matrices],
-    }
+    frames = [{"transform_matrix": matrix.tolist()} for matrix in matrices]
+    content = {"applied_transform": applied.tolist(), "frames": frames}
     again = read_poses(written(tmp_path / "a.json", json.dumps(content)))
     np.testing.assert_allclose(again.poses, poses.poses, atol=1e-12)
     assert again.names is None
@@ -281,11 +222,8 @@ def test_nerfstudio_scale_and_a_moved_world_are_undone(tmp_path):
     matrices = applied @ poses.poses
     matrices[:, :3, 3] *= 0.25
     matrices[:, :3, 1:3] *= -1
-    content = {
-        "applied_transform": applied[:3].tolist(),
-        "applied_scale": 0.25,
-        "frames": [{"transform_matrix": matrix[:3].tolist()} for matrix in matrices],
-    }
+    frames = [{"transform_matrix": matrix[:3].tolist()} for matrix in matrices]
+    content = {"applied_transform": applied[:3].tolist(), "applied_scale": 0.25, "frames": frames}
     again = read_poses(written(tmp_path / "a.json", json.dumps(content)))
     np.testing.assert_allclose(again.poses, poses.poses, atol=1e-12)
 
@@ -295,10 +233,8 @@ def test_nerfstudio_intrinsics_are_those_of_the_camera(tmp_path):
     write_poses(tmp_path / "transforms.json", random_poses(2), "nerfstudio", camera)
     content = json.loads((tmp_path / "transforms.json").read_text(encoding="utf-8"))
     # Nerfstudio's rays go through (column + 0.5, row + 0.5): its principal point is ours.
-    matrix = camera.intrinsics
-    assert [content[key] for key in ("fl_x", "fl_y", "cx", "cy")] == matrix[
-        [0, 1, 0, 1], [0, 1, 2, 2]
-    ].tolist()
+    expected = camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    assert [content[key] for key in ("fl_x", "fl_y", "cx", "cy")] == expected
     assert [content[key] for key in ("w", "h", "camera_model")] == [camera.width, camera.height, "OPENCV"]
     expected = {"k1": -0.107, "k2": 0.043, "p1": 0.001, "p2": -0.0005, "k3": 0.012}
     assert {key: content[key] for key in expected} == expected
@@ -311,19 +247,19 @@ def identity_frame(**changes):
     return {"frames": [{"file_path": "a", "transform_matrix": UNIT, **changes}]}
 
 
+FAR = identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]])
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         ("{", "is not valid JSON"),
         ("[]", "frames: must be a list of frames, each with a transform_matrix"),
-        ({"frames": 3}, "frames: must be a list"),
-        ({"frames": []}, "contains no poses"),
         ({"frames": [{}]}, r"frames\[0\].transform_matrix: must have 4 rows of 4 numbers"),
-        (identity_frame(transform_matrix=np.eye(3).tolist()), "must have 4 rows of 4 numbers"),
         (identity_frame(transform_matrix=np.ones((4, 4)).tolist()), "must have 4 rows"),
         (
             identity_frame(transform_matrix=np.diag([1, 1, 2, 1]).tolist()),
-            r"frames\[0\].transform_matrix: must contain a rotation, without scale or reflection",
+            "a rotation, without scale or refl",
         ),
         (identity_frame(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), "must contain a rotation"),
         (identity_frame(transform_matrix=[[float("nan")] * 4] * 4), "= nan: must be a finite number"),
@@ -332,27 +268,13 @@ def identity_frame(**changes):
         ({**identity_frame(), "applied_scale": 0}, "applied_scale = 0.0: must be positive"),
         ({**identity_frame(), "applied_transform": (2 * np.eye(4))[:3].tolist()}, "must contain a rotation"),
         ({**identity_frame(), "applied_transform": 1}, "applied_transform: must have 4 rows"),
-        (
-            {"applied_scale": 1e-300, **identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]])},
-            "must have a position within 1,000,000 m",
-        ),
-        (
-            {
-                "applied_scale": 1e-300,
-                "applied_transform": UNIT,
-                **identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]]),
-            },
-            "must have a position within 1,000,000 m",
-        ),
+        ({**FAR, "applied_scale": 1e-300, "applied_transform": UNIT}, "a position within 1,000,000 m"),
     ],
-)  # fmt: skip
+)
 def test_nerfstudio_files_that_are_not_allowed(content, message, tmp_path):
     text = content if isinstance(content, str) else json.dumps(content)
     with pytest.raises(InputError, match=f"transforms.json: .*{message}"):
         read_poses(written(tmp_path / "transforms.json", text))
-
-
-# --- COLMAP ----------------------------------------------------------------------------------------------
 
 
 def test_colmap_lines_are_world_to_camera_and_sorted_by_name(tmp_path):
@@ -365,19 +287,13 @@ def test_colmap_lines_are_world_to_camera_and_sorted_by_name(tmp_path):
         f"7 {w} {x} {y} {z} {translation} 1 b image.png\n10.5 20.5 -1 30.5 40.5 12\n"
         "3 1 0 0 0 1 2 3 1 a.png\n\n"
     )
-    written(tmp_path / "sparse" / "0" / "images.txt", text)
-    for place in (tmp_path, tmp_path / "sparse" / "0", tmp_path / "sparse" / "0" / "images.txt"):
+    file = written(tmp_path / "sparse" / "0" / "images.txt", text)
+    other = written(tmp_path / "other.txt", text)  # recognised by its content
+    for place in (tmp_path, file.parent, file, other):
         poses = read_poses(place)
         assert poses.names == ("a.png", "b image.png")
         np.testing.assert_allclose(poses.poses[1], pose, atol=1e-12)
         np.testing.assert_allclose(poses.poses[0, :3, 3], [-1, -2, -3], atol=1e-12)
-
-
-def test_colmap_is_recognised_by_its_content(tmp_path):
-    poses = read_poses(
-        written(tmp_path / "other.txt", "1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 1 1 b.png\n")
-    )
-    assert poses.names == ("a.png", "b.png")
 
 
 @pytest.mark.parametrize(
@@ -387,11 +303,9 @@ def test_colmap_is_recognised_by_its_content(tmp_path):
         ("1 1 0 0 0 0 0 x 1 a.png\n\n", "line 1, TZ = 'x': must be a finite number"),
         ("1 2 0 0 0 0 0 0 1 a.png\n\n", "line 1 = .*: must be a quaternion of length 1"),
         (2 * "1 1 0 0 0 0 0 0 1 a.png\n\n", "line 3, NAME = 'a.png': must be a name of one image only"),
-        (2 * "1 1 0 0 0 0 0 0 1 a.png\n", "line 2: must be the points X Y POINT3D_ID"),
         # A name of three words makes 12 fields, as many as four points.
         (2 * "1 1 0 0 0 0 0 0 1 my image 1.png\n", "line 2: must be the points X Y POINT3D_ID"),
         ("1 1 0 0 0 0 0 0 1 a\tb.png\n\n", r"line 1, NAME = 'a\\tb.png': must be a name of printable"),
-        ("# nothing\n", "contains no poses"),
     ],
 )
 def test_colmap_files_that_are_not_allowed(text, message, tmp_path):
@@ -420,22 +334,12 @@ def test_colmap_itself_reads_the_same_poses_and_projects_to_the_same_pixels(tmp_
             np.testing.assert_allclose(image.projection_center(), pose[:3, 3], atol=1e-12)
             expected = camera.at_pose(pose).project(points)
             np.testing.assert_allclose([image.project_point(point) for point in points], expected, atol=1e-9)
-
-
-def test_model_that_colmap_wrote_is_read(tmp_path):
-    pycolmap = pytest.importorskip("pycolmap")
-    poses = PoseList(arc_path(6, 0.5, (-0.6, 0.6), (1.0, 1.5), 0.2))
-    write_poses(tmp_path / "ours", poses, "colmap", Camera(BARREL, SENSOR))
-    (tmp_path / "theirs").mkdir()
-    pycolmap.Reconstruction(tmp_path / "ours").write_text(tmp_path / "theirs")
+    for name, write in (("theirs", reconstruction.write_text), ("binary", reconstruction.write_binary)):
+        (tmp_path / name).mkdir()
+        write(tmp_path / name)
     np.testing.assert_allclose(read_poses(tmp_path / "theirs").poses, poses.poses, atol=1e-12)
-    (tmp_path / "binary").mkdir()
-    pycolmap.Reconstruction(tmp_path / "ours").write_binary(tmp_path / "binary")
     with pytest.raises(InputError, match="has a binary COLMAP model; convert it"):
         read_poses(tmp_path / "binary")
-
-
-# --- writing and lists -----------------------------------------------------------------------------------
 
 
 def test_what_a_format_cannot_hold_is_refused_before_anything_is_written(tmp_path):
@@ -451,12 +355,9 @@ def test_what_a_format_cannot_hold_is_refused_before_anything_is_written(tmp_pat
         with pytest.raises(ArgumentError, match=message):
             write_poses(tmp_path / "out", changed, format, with_camera)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_colmap_model_is_not_overwritten(tmp_path):
     written(tmp_path / "model" / "points3D.txt", "1 2 3\n")
     with pytest.raises(OutputError, match="already has a COLMAP model"):
-        write_poses(tmp_path / "model", random_poses(3), "colmap")
+        write_poses(tmp_path / "model", poses, "colmap")
     assert [path.name for path in (tmp_path / "model").iterdir()] == ["points3D.txt"]
 
 
@@ -494,9 +395,6 @@ def test_pose_list_checks_its_values():
     assert not PoseList(pose).poses.flags.writeable
 
 
-# --- lenses of other models ------------------------------------------------------------------------------
-
-
 RATIONAL = Distortion(0.3, -0.1, 0.002, -0.001, 0.02, 0.35, -0.05, 0.03)
 FISHEYE = FisheyeDistortion(0.03, -0.01, 0.004, -0.001)
 PINHOLE = [610.0, 605.0, 321.5, 238.0]
@@ -521,9 +419,7 @@ def camera_with(distortion):
         (Distortion(), "PINHOLE", ()),
     ],
 )
-def test_colmap_cameras_have_the_parameters_of_their_model_in_colmaps_order(
-    distortion, model, names, tmp_path
-):
+def test_colmap_cameras_have_the_parameters_of_their_model_in_order(distortion, model, names, tmp_path):
     write_poses(tmp_path / "model", random_poses(2), "colmap", camera_with(distortion))
     line = (tmp_path / "model" / "cameras.txt").read_text(encoding="utf-8").splitlines()[-1]
     number, name, width, height, *parameters = line.split()
@@ -538,8 +434,6 @@ def test_nerfstudio_has_fisheyes_but_no_rational_lens(tmp_path):
     assert content["camera_model"] == "OPENCV_FISHEYE"
     assert [content[f"k{number}"] for number in range(1, 5)] == list(astuple(FISHEYE))
     assert [content[key] for key in ("fl_x", "fl_y", "cx", "cy")] == pytest.approx(PINHOLE, rel=1e-12)
-    with pytest.raises(
-        ArgumentError, match=r"camera: lens.distortion: must be k1, k2, p1, p2, k3 or a fisheye's"
-    ):
+    with pytest.raises(ArgumentError, match=r"camera: lens.distortion: must be k1, k2, p1, p2, k3 or a fish"):
         write_poses(tmp_path / "b.json", random_poses(2), "nerfstudio", camera_with(RATIONAL))
     assert not (tmp_path / "b.json").exists()

@@ -64,9 +64,7 @@ def random_signal(view, mean_electrons=2000.0):
     return (signal * mean_electrons / expected_electrons(signal, view).mean()).astype(np.float32)
 
 
-@pytest.mark.parametrize(
-    "size", [(1, 1), (1920, 1080), (1921, 1093), (3840, 2160), (6000, 4000), (4_000_000, 3)]
-)
+@pytest.mark.parametrize("size", [(1, 1), (1921, 1093), (6000, 4000), (4_000_000, 3)])
 def test_strips_are_even_parts_of_the_image(size):
     width, height = size
     strips = row_strips.row_strips(width, height)
@@ -80,12 +78,9 @@ def test_strips_are_even_parts_of_the_image(size):
 @pytest.mark.parametrize("name", CAMERAS)
 def test_rays_of_rows_are_those_of_the_image(name, short_strips):
     view, rows = CAMERAS[name], slice(7, 19)
-    whole = [view.ray_slopes()[rows], view.pixel_directions()[rows], relative_illumination(view)[rows]]
-    parts = short_strips(
-        lambda: [view.ray_slopes(rows), view.pixel_directions(rows), relative_illumination(view, rows)]
-    )
-    for part, expected in zip(parts, whole, strict=True):
-        np.testing.assert_allclose(part, expected, rtol=0, atol=1e-14)
+    for rays in (Camera.ray_slopes, Camera.pixel_directions, relative_illumination):
+        part = short_strips(lambda rays=rays: rays(view, rows))
+        np.testing.assert_allclose(part, rays(view)[rows], rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["binned", "distorted"])
@@ -95,9 +90,8 @@ def test_limits_of_the_rays_do_not_depend_on_strips(name, short_strips):
     slopes = view.ray_slopes().reshape(-1, 2)
     np.testing.assert_array_equal(view.slope_limits(), [slopes.min(axis=0), slopes.max(axis=0)])
     expected = [view.slope_limits(), *view.border_slopes()]
-    for part, whole in zip(
-        short_strips(lambda: [other.slope_limits(), *other.border_slopes()]), expected, strict=True
-    ):
+    parts = short_strips(lambda: [other.slope_limits(), *other.border_slopes()])
+    for part, whole in zip(parts, expected, strict=True):
         np.testing.assert_allclose(part, whole, rtol=0, atol=1e-14)
 
 
@@ -106,11 +100,8 @@ def test_without_noise_strips_have_the_bytes_of_the_image(name, short_strips):
     view = CAMERAS[name]
     electrons = expected_electrons(random_signal(view), view)
     for compute in (develop, raw_frame, camera_rgb):
-        whole, parts = (
-            compute(electrons, view),
-            short_strips(lambda compute=compute: compute(electrons, view)),
-        )
-        np.testing.assert_array_equal(parts, whole)
+        parts = short_strips(lambda compute=compute: compute(electrons, view))
+        np.testing.assert_array_equal(parts, compute(electrons, view))
 
 
 def test_an_image_in_strips_is_developed_from_its_raw_frame(short_strips):

@@ -55,24 +55,15 @@ def random_electrons(most, channels=3, seed=1):
     ("change", "message"),
     [
         ({"binning": 3}, "1 or even"),
-        ({"binning": 0}, "at least 1"),
         ({"binning": 1, "columns": 15}, "no whole Bayer quads"),
         ({"binning": 1, "rows": 13}, "no whole Bayer quads"),
         ({"pattern": "mono"}, "does not match 3 colours"),
-        ({"pattern": "rgbg"}, "does not match"),
-        ({"bits": 0}, r"bits must be in \[1, 16\]"),
         ({"bits": 17}, r"bits must be in \[1, 16\]"),
-        ({"gain": 0.0}, "gain must be positive"),
-        ({"gain": np.inf}, "gain must be positive"),
         ({"gain": np.nan}, "gain must be positive"),
         ({"black_level_dn": 1023}, "black level"),
         ({"full_well_e": 0}, "must be positive"),
         ({"read_noise_e": np.nan}, "read noise"),
         ({"quantum_efficiency": Spectrum(np.array([400.0, 700.0]), np.full((3, 2), 1.1))}, "within"),
-        (
-            {"quantum_efficiency": Spectrum(np.array([400.0, 700.0]), np.full((2, 2), 0.1))},
-            "does not match 2 colours",
-        ),
     ],
 )
 def test_raises_on_invalid_sensor(change, message):
@@ -80,7 +71,7 @@ def test_raises_on_invalid_sensor(change, message):
         small(**change)
 
 
-@pytest.mark.parametrize("bits", [1, 8, 10, 12, 14, 16])
+@pytest.mark.parametrize("bits", [1, 10, 16])
 def test_black_level_scales_with_the_range(bits):
     other = UEYE.with_settings(bits=bits)
     assert other.full_scale_dn == 2**bits - 1
@@ -96,22 +87,9 @@ def test_gain_keeps_the_black_level_and_settings_combine():
     both = UEYE.with_settings(bits=12, gain=4.0).with_settings(bits=10)
     assert both.gain == 4.0
     assert both.black_level_dn == pytest.approx(16)
-    for invalid in ({"bits": 0}, {"bits": 17}, {"gain": 0.0}):
+    for invalid in ({"bits": 0}, {"gain": 0.0}):
         with pytest.raises(ValueError, match=r"must be"):
             UEYE.with_settings(**invalid)
-
-
-@pytest.mark.parametrize("sensor", [UEYE, MONO])
-def test_filter_multiplies_the_efficiency(sensor):
-    nm = np.linspace(380, 900, 2081)
-    glass = Spectrum(np.array([430.0, 505.0, 643.0, 820.0]), np.array([0.0, 0.9, 0.4, 0.1]))
-    efficiency = sensor.with_filter(glass).quantum_efficiency
-    assert len(efficiency.values) == sensor.channels
-    # Exact at all nodes of both curves; between them the product is curved, by at most a quarter of the
-    # steps.
-    nodes = efficiency.wavelength_nm
-    np.testing.assert_allclose(efficiency.at(nodes), sensor.quantum_efficiency.at(nodes) * glass.at(nodes))
-    np.testing.assert_allclose(efficiency.at(nm), sensor.quantum_efficiency.at(nm) * glass.at(nm), atol=5e-3)
 
 
 def test_photosite_counts():
@@ -123,7 +101,7 @@ def test_photosite_counts():
 
 
 @all_patterns
-@pytest.mark.parametrize("binning", [1, 2, 4])
+@pytest.mark.parametrize("binning", [1, 4])
 def test_pure_colours_reach_only_their_photosites(pattern, binning):
     sensor = small(pattern=pattern, binning=binning)
     for channel, mask in enumerate(masks_CFA_Bayer(sensor.site_shape, pattern.upper())):
@@ -140,16 +118,11 @@ def test_mosaic_matches_the_library(pattern):
     electrons = random_electrons(6000)
     sites = spread_to_photosites(electrons, small(pattern=pattern, binning=1))
     np.testing.assert_allclose(sites, mosaicing_CFA_Bayer(electrons, pattern.upper()), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "sensor",
-    [*(small(pattern=p, binning=b) for p in PATTERNS for b in (2, 4)), small(MONO), small(MONO, binning=3)],
-)
-def test_binning_inverts_the_mosaic(sensor):
-    electrons = random_electrons(6000, sensor.channels)
-    sites = spread_to_photosites(electrons, sensor)
-    np.testing.assert_allclose(bin_photosites(sites, sensor), electrons, rtol=1e-6)
+    # Binning inverts it.
+    for sensor in (small(pattern=pattern, binning=4), small(MONO, binning=3)):
+        electrons = random_electrons(6000, sensor.channels)
+        binned = bin_photosites(spread_to_photosites(electrons, sensor), sensor)
+        np.testing.assert_allclose(binned, electrons, rtol=1e-6)
 
 
 @all_methods
@@ -171,7 +144,7 @@ def test_demosaicing_is_exact_for_uniform_colours_and_close_for_gradients(patter
     assert error.max() < 2 / 60
 
 
-@pytest.mark.parametrize(("rows", "columns"), [(2, 2), (2, 6), (4, 2)])
+@pytest.mark.parametrize(("rows", "columns"), [(2, 2), (4, 2)])
 @all_methods
 def test_smallest_mosaics_can_be_demosaiced(rows, columns, method):
     uniform = np.broadcast_to(np.array([0.2, 0.7, 0.4]), (rows, columns, 3))
@@ -179,8 +152,7 @@ def test_smallest_mosaics_can_be_demosaiced(rows, columns, method):
     np.testing.assert_allclose(demosaic_image(sites, "rggb", method), uniform, atol=1e-6)
 
 
-@all_methods
-@all_patterns
+@pytest.mark.parametrize(("pattern", "method"), [("rggb", "malvar"), ("gbrg", "menon"), ("bggr", "bilinear")])
 def test_image_is_made_from_the_raw_frame(pattern, method):
     electrons = random_electrons(6000)
     for binning in (1, 2):
@@ -203,13 +175,7 @@ def test_raw_frame_is_always_quantised_and_saturated(step):
         for developing in (Developing(), Developing(**{step: False}))
     )
     np.testing.assert_array_equal(full, part)
-    assert full.max() <= 1023
-
-
-@pytest.mark.parametrize("sensor", [small(), small(binning=1), small(MONO), small(MONO, binning=3)])
-def test_strong_light_gives_full_scale(sensor):
-    electrons, camera = random_electrons(20000, sensor.channels), camera_with(sensor, Developing())
-    assert raw_frame(electrons, camera, np.random.default_rng(8)).max() == sensor.full_scale_dn
+    assert full.max() == 1023
 
 
 def test_monochrome_image_is_grey_and_needs_no_reference_light():
@@ -226,14 +192,9 @@ def test_monochrome_image_is_grey_and_needs_no_reference_light():
 
 # Zero, numbers below the smallest normal one, single electrons, and unrealistically strong light.
 ELECTRONS = st.one_of(
-    st.just(0.0),
-    st.floats(0, 1e-300, allow_subnormal=True),
-    st.floats(0, 100),
-    st.floats(0, 1e10),
-    st.floats(0, 1e30),
-    st.just(1e30),
-    st.just(np.finfo(float).max),
-)
+    st.sampled_from([0.0, 1e30, np.finfo(float).max]), st.floats(0, 1e-300), st.floats(0, 100),
+    st.floats(0, 1e10), st.floats(0, 1e30),
+)  # fmt: skip
 
 
 @st.composite
@@ -259,11 +220,7 @@ def sensors(draw):
 
 DEVELOPING = st.builds(
     Developing,
-    falloff=st.booleans(),
-    shot_noise=st.booleans(),
-    read_noise=st.booleans(),
-    saturation=st.booleans(),
-    quantise=st.booleans(),
+    **dict.fromkeys(("falloff", "shot_noise", "read_noise", "saturation", "quantise"), st.booleans()),
     demosaic=st.sampled_from(METHODS),
     white_balance=st.sampled_from([None, "daylight"]),
     colour_matrix=st.booleans(),
@@ -272,7 +229,7 @@ DEVELOPING = st.builds(
 
 
 @given(sensor=sensors(), developing=DEVELOPING, seed=st.integers(0, 2**32) | st.none(), data=st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 def test_any_light_on_any_sensor_stays_in_range(sensor, developing, seed, data):
     shape = (sensor.rows, sensor.columns, sensor.channels)
     electrons = data.draw(arrays(np.float64, shape, elements=ELECTRONS))
@@ -292,11 +249,3 @@ def test_any_light_on_any_sensor_stays_in_range(sensor, developing, seed, data):
         rounding = 4 * np.finfo(np.float32).eps * sensor.full_scale_dn / span
         assert rgb.min() >= -sensor.black_level_dn / span - rounding
         assert rgb.max() <= 1 + rounding
-
-
-@given(levels=st.lists(ELECTRONS, min_size=2, max_size=2))
-@settings(max_examples=100, deadline=None)
-def test_numbers_increase_with_light_without_noise(levels):
-    camera = camera_with(replace(MONO, columns=1, rows=1), Developing(white_balance="daylight"))
-    low, high = (raw_frame(np.full((1, 1, 1), level), camera).item() for level in sorted(levels))
-    assert low <= high

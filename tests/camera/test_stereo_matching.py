@@ -39,7 +39,7 @@ def picture(image):
     return np.clip(np.rint(image[:, :WIDTH] + noise), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("disparity", [6.0, 10.25, 20.5, 33.8])
+@pytest.mark.parametrize("disparity", [6.0, 20.5, 33.8])
 def test_a_plane_has_its_disparity_without_bias_to_whole_pixels(depth_camera, disparity):
     image = texture()
     matched = match_depth(picture(image), picture(shifted(image, disparity)), depth_camera)

@@ -34,8 +34,7 @@ def whole_sum(quarter):
     return quarter[0, 0] + 2 * quarter[0, 1:].sum() + 2 * quarter[1:, 0].sum() + 4 * quarter[1:, 1:].sum()
 
 
-@pytest.mark.parametrize("size", [1, 3, 7, 31])
-@pytest.mark.parametrize("shape", [(31, 31), (72, 96), (40, 131)])
+@pytest.mark.parametrize(("size", "shape"), [(1, (31, 31)), (7, (40, 131)), (31, (72, 96))])
 def test_convolution_has_the_bits_of_scipy(shape, size):
     from scipy.signal import fftconvolve
 
@@ -63,11 +62,9 @@ def test_light_is_redistributed_and_none_is_lost(stray):
     result = add_stray_light(image, camera)
     np.testing.assert_allclose(result.sum(axis=(0, 1)), image.sum(axis=(0, 1)), rtol=1e-12)
     assert result.min() >= 0.0
-
-
-def test_uniform_light_stays_uniform_without_ghosts():
-    camera = camera_with(NO_GHOSTS)
-    np.testing.assert_allclose(add_stray_light(np.full((150, 200, 3), 70.0), camera), 70.0, rtol=1e-10)
+    if not stray.ghosts:
+        even = add_stray_light(np.full((150, 200, 3), 70.0), camera)
+        np.testing.assert_allclose(even, 70.0, rtol=1e-10)
 
 
 def test_stray_light_is_linear_and_the_same_every_time():
@@ -90,7 +87,7 @@ def test_point_spreads_alike_in_both_directions_and_is_reciprocal():
     assert forth == pytest.approx(back, rel=1e-9)
 
 
-@pytest.mark.parametrize("pitch_m", [1.4e-6, 4.5e-6, 9e-6])
+@pytest.mark.parametrize("pitch_m", [1.4e-6, 9e-6])
 def test_near_pixels_match_direct_integration(pitch_m):
     # Light from random places in a pixel, on random places in another, by the formulas of both densities.
     stray, rng, n = StrayLight(scatter=0.3, veil=0.0, ghosts=()), np.random.default_rng(3), 400_000
@@ -106,6 +103,9 @@ def test_near_pixels_match_direct_integration(pitch_m):
 
 
 def test_light_beyond_a_radius_follows_the_closed_forms():
+    # The Airy disc at f/16 covers many pixels: the centre has the density pi / (4 N^2 lambda^2).
+    centre = point_spread(StrayLight(0.0, veil=0.0, ghosts=()), 16.0, 2e-6, WAVELENGTH_M, (30, 30))[0, 0]
+    assert centre == pytest.approx(np.pi / (4 * (16 * WAVELENGTH_M) ** 2) * (2e-6) ** 2, rel=0.05)
     stray, pitch_m = StrayLight(scatter=0.4, veil=0.1, ghosts=()), 9e-6
     quarter = point_spread(stray, 2.0, pitch_m, WAVELENGTH_M, (600, 600))
     row, column = np.ogrid[:601, :601]
@@ -116,18 +116,6 @@ def test_light_beyond_a_radius_follows_the_closed_forms():
         direct = 0.5 * (1 - 2 * 2.0 * WAVELENGTH_M / (np.pi**2 * radius))
         scattered = 0.4 * (1 - (1 + (radius / 1.76e-6) ** 2) ** -0.31)
         assert inside == pytest.approx(direct + scattered, abs=4e-4)
-
-
-def test_smaller_aperture_diffracts_more():
-    def centre(f_number):
-        return point_spread(StrayLight(0.0, veil=0.0, ghosts=()), f_number, 2e-6, WAVELENGTH_M, (30, 30))[
-            0, 0
-        ]
-
-    assert centre(2.0) > centre(5.6) > centre(16.0)
-    # The Airy disc at f/16 covers many pixels: the centre has the density pi / (4 N^2 lambda^2).
-    expected = np.pi / (4 * (16 * WAVELENGTH_M) ** 2) * (2e-6) ** 2
-    assert centre(16.0) == pytest.approx(expected, rel=0.05)
 
 
 def test_veiling_glare_index_of_the_default_is_1_to_2_percent():
@@ -151,7 +139,7 @@ def test_veil_alone_is_a_fraction_of_the_mean():
     np.testing.assert_allclose(far, 0.02 * image.mean(axis=(0, 1)), rtol=0.05)
 
 
-@pytest.mark.parametrize("magnification", [-1.0, -0.4, 0.6])
+@pytest.mark.parametrize("magnification", [-1.0, 0.6])
 def test_ghost_is_scaled_about_the_axis_and_has_its_light(magnification):
     ghost = Ghost(magnification, 5e-5, 0.05)
     camera = camera_with(StrayLight(0.0, veil=0.0, ghosts=(ghost,)))
@@ -182,19 +170,11 @@ def test_ghosts_move_with_the_optical_axis():
     assert abs(column - 90) <= 6
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"scatter": -0.1},
-        {"scatter": 0.8, "veil": 0.2},
-        {"veil": float("nan")},
-        {"scatter_width_m": 0.0},
-        {"scatter_exponent": 1.0},
-        {"ghosts": (Ghost(0.0, 1e-3, 0.1),)},
-        {"ghosts": (Ghost(1.0, 0.0, 0.1),)},
-        {"ghosts": (Ghost(1.0, 1e-3, 0.95),)},
-    ],
-)
-def test_raises_on_impossible_numbers(wrong):
-    with pytest.raises(ValueError, match=r"stray light|scatter|ghost"):
-        StrayLight(**wrong)
+def test_raises_on_impossible_numbers():
+    for wrong in (
+        {"scatter": -0.1}, {"scatter": 0.8, "veil": 0.2}, {"veil": float("nan")}, {"scatter_width_m": 0.0},
+        {"scatter_exponent": 1.0}, {"ghosts": (Ghost(0.0, 1e-3, 0.1),)},
+        {"ghosts": (Ghost(1.0, 0.0, 0.1),)}, {"ghosts": (Ghost(1.0, 1e-3, 0.95),)},
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=r"stray light|scatter|ghost"):
+            StrayLight(**wrong)

@@ -27,7 +27,7 @@ from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.errors import InputError
 
 
-def coloured_noise(exponent, size=512, seed=0):
+def coloured_noise(exponent, size=256, seed=0):
     """An image whose power falls with this power of the frequency."""
     rng = np.random.default_rng(seed)
     radius = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size), indexing="ij"))
@@ -74,7 +74,7 @@ def test_percentiles_of_histograms():
     assert np.isnan(histogram_percentiles(counts, 0.01, [50])[1]).all()
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 30.0, 45.0, 100.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 100.0])
 def test_gradient_ratio_is_that_of_the_amplitudes_in_any_direction(angle_deg):
     assert gradient_ratio(mean_tensor(waves(3.0, 2.0, angle_deg))) == pytest.approx(1.5, rel=0.01)
     assert gradient_ratio(mean_tensor(waves(1.0, 1.0, angle_deg))) == pytest.approx(1.0, abs=0.03)
@@ -96,13 +96,10 @@ def test_gloss_is_brighter_and_less_saturated():
     luminance[:10], saturations[:5] = 0.3, 0.2
     assert gloss_fraction(luminance, saturations) == pytest.approx(0.05)
     saturations[:] = 0.6
-    assert gloss_fraction(luminance, saturations) == 0.0
-    assert gloss_fraction(np.stack([luminance, luminance]), np.stack([saturations, saturations])).shape == (
-        2,
-    )
+    assert gloss_fraction(np.stack([luminance] * 2), np.stack([saturations] * 2)).tolist() == [0.0, 0.0]
 
 
-@pytest.mark.parametrize("exponent", [0.0, -1.0, -2.0, -3.0])
+@pytest.mark.parametrize("exponent", [-1.0, -3.0])
 def test_slope_of_the_power_spectrum_is_that_of_the_noise(exponent):
     slopes = [spectrum_slope(radial_power_spectrum(coloured_noise(exponent, seed=k))) for k in range(4)]
     assert np.mean(slopes) == pytest.approx(exponent, abs=0.08)
@@ -146,9 +143,8 @@ def test_compare_measures_whole_images_and_classes():
     assert (stem.clipped_share.value, stem.blue_dark_share.value) == (1.0, 1.0)
     assert (leaf.clipped_share.value, leaf.blue_dark_share.value) == (0.0, 0.0)
     assert appearance["image"].first.clipped_share.value == pytest.approx(0.1)
-    assert leaf.saturation[1].value == pytest.approx(
-        saturation(linear_srgb_to_lab([0.1, 0.14, 0.06])), abs=0.02
-    )
+    expected = saturation(linear_srgb_to_lab([0.1, 0.14, 0.06]))
+    assert leaf.saturation[1].value == pytest.approx(expected, abs=0.02)
     assert stem.gradient_ratio.why == "no patch has a texture"
     assert leaf.spectrum_slope.why == "measured in whole images"
     assert appearance["leaf"].second.gloss_share.why == "no labels in memory (B)"
@@ -174,7 +170,7 @@ def test_organs_are_instances_or_connected_areas():
 
 
 def test_images_are_compared_at_one_scale():
-    fine = leaf_picture(0.4, size=(400, 1280))
+    fine = leaf_picture(0.4, size=(192, 1280))
     coarse = encode_tone(resize_linear(decode_tone(fine), 640).astype(np.float32))
     sets = image_set((fine, None)), image_set((coarse, None))
     for options in ({"width_px": 640}, {"pixel_mm": (0.5, 1.0)}):
@@ -188,18 +184,11 @@ def test_images_are_compared_at_one_scale():
 
 
 def test_narrow_images_have_colours_and_no_texture():
-    image = (
-        compare(image_set(uniform((60, 90, 40))), image_set(uniform((60, 90, 40)))).appearance["image"].first
-    )
+    narrow = image_set(uniform((60, 90, 40)))
+    image = compare(narrow, narrow).appearance["image"].first
     assert image.saturation[1].value is not None
     for measure in (image.patch_lightness_sd, image.gradient_ratio, image.gloss_share, image.spectrum_slope):
         assert (measure.value, measure.why) == (None, "no image is 580 pixels wide")
-
-
-@pytest.mark.parametrize(
-    "options", [{"width_px": 0}, {"pixel_mm": (1.0, 0.0)}, {"pixel_mm": (1.0, float("nan"))}]
-)
-def test_scales_must_be_positive(options):
-    grey = image_set(uniform((90, 90, 90)))
-    with pytest.raises(InputError, match="must be"):
-        compare(grey, grey, **options)
+    for options in ({"width_px": 0}, {"pixel_mm": (1.0, 0.0)}, {"pixel_mm": (1.0, float("nan"))}):
+        with pytest.raises(InputError, match="must be"):
+            compare(narrow, narrow, **options)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pepperscene.camera import encode_tone
 from pepperscene.camera.image.colorimetry import XYZ_TO_SRGB
@@ -23,14 +22,7 @@ UPSIDE_DOWN = ((400, 420), (120, 380), (160, 150), (430, 200))
 ON_ITS_SIDE = ((420, 90), (440, 400), (220, 410), (210, 80))
 
 
-def draw_chart(
-    corners: object,
-    camera: NDArray[np.float64] = CAMERA,
-    *,
-    noise: float = 0.004,
-    tone: str = "srgb",
-    clutter: bool = False,
-) -> NDArray[np.uint8]:
+def draw_chart(corners, camera=CAMERA, *, noise=0.004, tone="srgb", clutter=False):
     """A picture `(480, 640, 3)` of a chart in a black frame, fields 87 % of their pitch wide."""
     rng = np.random.default_rng(3)
     linear = np.full((480, 640, 3), 0.18)
@@ -50,7 +42,7 @@ def draw_chart(
     return encode_tone(seen.astype(np.float32), tone)
 
 
-def test_chart_colours_agree_with_colour_science() -> None:
+def test_chart_colours_agree_with_colour_science():
     """X-Rite's measurement of November 2014: another specimen, adapted from another illuminant."""
     colour = colour_science()
     chart = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
@@ -65,9 +57,10 @@ def test_chart_colours_agree_with_colour_science() -> None:
     assert differences.max() < 5.0
 
 
-@pytest.mark.parametrize("corners", [UPRIGHT, TILTED, UPSIDE_DOWN, ON_ITS_SIDE])
-@pytest.mark.parametrize("detect", [False, True])
-def test_inverts_a_known_camera(corners: tuple[tuple[int, int], ...], detect: bool) -> None:
+@pytest.mark.parametrize(
+    ("corners", "detect"), [(TILTED, False), (UPRIGHT, True), (UPSIDE_DOWN, True), (ON_ITS_SIDE, True)]
+)
+def test_inverts_a_known_camera(corners, detect):
     calibration = calibrate(draw_chart(corners), None if detect else corners)
     assert calibration.after.max() < 1.0
     assert calibration.before.mean() > 5.0
@@ -78,29 +71,23 @@ def test_inverts_a_known_camera(corners: tuple[tuple[int, int], ...], detect: bo
     assert delta_e_2000(linear_srgb_to_lab(restored), linear_srgb_to_lab(others)).max() < 1.0
 
 
-def test_detects_a_chart_in_clutter() -> None:
-    calibration = calibrate(draw_chart(TILTED, clutter=True))
-    assert calibration.corners == pytest.approx(np.array(TILTED, float), abs=2.0)
-    assert calibration.after.max() < 1.0
+def test_detects_a_chart_that_is_in_clutter_large_or_mirrored():
+    expected, plain = np.array(TILTED, float), draw_chart(TILTED)
+    cluttered = calibrate(draw_chart(TILTED, clutter=True))
+    assert cluttered.corners == pytest.approx(expected, abs=2.0)
+    assert cluttered.after.max() < 1.0
+    large = plain.repeat(4, axis=0).repeat(4, axis=1)
+    assert calibrate(large).corners == pytest.approx(4.0 * expected, abs=8.0)
+    assert calibrate(plain[:, ::-1]).corners == pytest.approx(np.abs(expected - [640, 0]), abs=2.0)
 
 
-def test_detects_a_chart_in_a_large_picture() -> None:
-    large = draw_chart(TILTED).repeat(4, axis=0).repeat(4, axis=1)
-    assert calibrate(large).corners == pytest.approx(4.0 * np.array(TILTED, float), abs=8.0)
-
-
-def test_calibrates_linear_codes() -> None:
+def test_calibrates_linear_codes():
     calibration = calibrate(draw_chart(TILTED, tone="linear"), TILTED, tone="linear")
     assert calibration.after.mean() < 1.0
     assert calibration.matrix @ CAMERA == pytest.approx(np.eye(3), abs=0.02)
 
 
-def test_detects_a_mirrored_chart() -> None:
-    calibration = calibrate(draw_chart(TILTED)[:, ::-1])
-    assert calibration.corners == pytest.approx(np.array([(640 - x, y) for x, y in TILTED], float), abs=2.0)
-
-
-def test_leaves_fields_clipped_at_zero_out_of_the_fit() -> None:
+def test_leaves_fields_clipped_at_zero_out_of_the_fit():
     """Cyan is outside the sRGB gamut."""
     calibration = calibrate(draw_chart(UPRIGHT, np.eye(3), noise=0.0), UPRIGHT)
     assert calibration.left_out == ("cyan",)
@@ -114,10 +101,9 @@ def test_leaves_fields_clipped_at_zero_out_of_the_fit() -> None:
 @pytest.mark.parametrize(("order", "message"), [
     ((3, 0, 1, 2), "corner 2 and 3"),
     ((2, 3, 0, 1), "corner 3 and 4"),
-    ((1, 2, 3, 0), "corner 4 and 1"),
     ((3, 2, 1, 0), "corner 4 and 3"),
 ])  # fmt: skip
-def test_rejects_corners_in_another_order(order: tuple[int, ...], message: str) -> None:
+def test_rejects_corners_in_another_order(order, message):
     with pytest.raises(InputError, match=message):
         calibrate(draw_chart(TILTED), np.array(TILTED)[list(order)])
 
@@ -132,12 +118,12 @@ def test_rejects_corners_in_another_order(order: tuple[int, ...], message: str) 
         ([(520, 10), (635, 10), (635, 90), (520, 90)], "shows no ColorChecker"),
     ],
 )
-def test_rejects_corners_without_a_chart(corners: list[tuple[int, int]], message: str) -> None:
+def test_rejects_corners_without_a_chart(corners, message):
     with pytest.raises(InputError, match=message):
         calibrate(draw_chart(UPRIGHT), corners)
 
 
-def test_rejects_a_chart_that_is_saturated_or_too_dark() -> None:
+def test_rejects_a_chart_that_is_saturated_or_too_dark():
     for corners in (TILTED, None):
         with pytest.raises(InputError, match=r"saturated in the fields .*white"):
             calibrate(draw_chart(TILTED, 1.6 * CAMERA), corners)
@@ -145,9 +131,8 @@ def test_rejects_a_chart_that_is_saturated_or_too_dark() -> None:
         calibrate(draw_chart(TILTED, 0.04 * CAMERA, noise=0.0), TILTED)
 
 
-def test_rejects_a_picture_without_a_chart() -> None:
-    rng = np.random.default_rng(5)
-    with pytest.raises(InputError, match="no ColorChecker"):
-        calibrate(rng.integers(0, 256, (200, 300, 3), dtype=np.uint8))
-    with pytest.raises(InputError, match="no ColorChecker"):
-        calibrate(np.full((200, 300, 3), 90, np.uint8))
+def test_rejects_a_picture_without_a_chart():
+    noise = np.random.default_rng(5).integers(0, 256, (200, 300, 3), dtype=np.uint8)
+    for picture in (noise, np.full((200, 300, 3), 90, np.uint8)):
+        with pytest.raises(InputError, match="no ColorChecker"):
+            calibrate(picture)

@@ -1,11 +1,9 @@
-"""Circular statistics against SciPy, a linear programme and their invariances."""
+"""Circular statistics against SciPy, numerical integrals and a linear programme."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import optimize, stats
 
 from pepperscene.colour.statistics import (
@@ -24,7 +22,7 @@ def angle_between(first, second):
     return abs((first - second + 180.0) % 360.0 - 180.0)
 
 
-@pytest.mark.parametrize("kappa", [0.3, 2.0, 50.0])
+@pytest.mark.parametrize("kappa", [0.3, 50.0])
 def test_mean_and_spread_equal_scipys(kappa):
     angles = np.degrees(RNG.vonmises(3.0, kappa, 400))
     assert angle_between(circular_mean(angles), stats.circmean(angles, high=360.0)) < 1e-9
@@ -35,9 +33,9 @@ def test_mean_and_spread_equal_scipys(kappa):
     assert circular_sd(angles, weights) == pytest.approx(circular_sd(np.repeat(angles, weights)), rel=1e-9)
 
 
-@pytest.mark.parametrize("kappa", [1e-7, 0.01, 0.3, 2.0, 50.0, 1e5])
+@pytest.mark.parametrize("kappa", [1e-7, 0.3, 50.0, 1e5])
 def test_von_mises_kappa_inverts_the_mean_cosine(kappa):
-    angle = np.linspace(-np.pi, np.pi, 2_000_000, endpoint=False)
+    angle = np.linspace(-np.pi, np.pi, 100_000, endpoint=False)
     density = np.exp(kappa * (np.cos(angle) - 1.0))
     length = float((density * np.cos(angle)).sum() / density.sum())
     assert von_mises_kappa(length) == pytest.approx(kappa, rel=1e-6)
@@ -51,24 +49,7 @@ def test_limits_of_one_direction_and_of_no_direction():
     assert np.isnan(circular_mean([]))
     assert np.isnan(resultant_length([]))
     assert angle_between(circular_mean([359.0, 1.0]), 0.0) < 1e-9
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    angles=st.lists(st.integers(0, 719), min_size=2, max_size=9),
-    rotation=st.integers(-720, 720),
-    seed=st.integers(0, 1000),
-)
-def test_mean_rotates_with_the_angles_and_ignores_their_order(angles, rotation, seed):
-    angles = np.array(angles) / 2.0
-    shuffled = np.random.default_rng(seed).permutation(angles)
-    mean = circular_mean(angles)
-    for same in (circular_mean(angles + 360.0), circular_mean(shuffled)):
-        assert np.isnan(mean) == np.isnan(same)
-        assert np.isnan(mean) or angle_between(mean, same) < 1e-6
-    rotated = circular_mean(angles + rotation)
-    assert np.isnan(rotated) or angle_between(rotated, mean + rotation) < 1e-6
-    assert resultant_length(angles + rotation) == pytest.approx(resultant_length(shuffled), abs=1e-12)
+    assert np.isnan(circular_emd(np.zeros(4), np.ones(4)))
 
 
 def optimal_transport(first, second):
@@ -87,37 +68,15 @@ def optimal_transport(first, second):
     return float(plan.fun)
 
 
-@pytest.mark.parametrize("bins", [5, 12, 18])
+@pytest.mark.parametrize("bins", [5, 18])
 def test_earth_movers_distance_equals_optimal_transport(bins):
     rng = np.random.default_rng(bins)
-    for _ in range(40):
+    for _ in range(10):
         first, second = rng.gamma(0.3, size=(2, bins))
         assert circular_emd(first, second) == pytest.approx(optimal_transport(first, second), abs=1e-6)
 
 
-def test_earth_movers_distance_of_two_points_is_their_arc():
-    for i, j in ((0, 0), (0, 90), (3, 177), (179, 1), (40, 75)):
-        first, second = np.zeros((2, 180))
-        first[i] = second[j] = 1.0
-        steps = abs(i - j)
-        assert circular_emd(first, second) == pytest.approx(2.0 * min(steps, 180 - steps), abs=1e-9)
-
-
-def test_earth_movers_distance_is_a_metric_and_invariant_to_rotation_and_scale():
-    a, b, c = RNG.gamma(0.5, size=(3, 180))
-    distance = circular_emd(a, b)
-    assert circular_emd(a, a) == 0.0
-    assert circular_emd(b, a) == pytest.approx(distance, rel=1e-12)
-    assert distance <= circular_emd(a, c) + circular_emd(c, b) + 1e-12
-    assert circular_emd(7.0 * a, b) == pytest.approx(distance, rel=1e-12)
-    for turn in (1, 90, 180):
-        assert circular_emd(np.roll(a, turn), np.roll(b, turn)) == pytest.approx(distance, abs=1e-9)
-    # A rotation by one bin moves the mass by at most two degrees.
-    assert circular_emd(np.roll(a, 1), a) <= 2.0 + 1e-9
-
-
 def test_rejects_invalid_histograms_and_weights():
-    assert np.isnan(circular_emd(np.zeros(4), np.ones(4)))
     with pytest.raises(ValueError, match="one length"):
         circular_emd(np.ones(3), np.ones(4))
     with pytest.raises(ValueError, match="negative"):

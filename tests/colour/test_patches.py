@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from pepperscene import OrganClass, Spectrum, open_images, open_patches
@@ -23,13 +20,13 @@ from pepperscene.truth.statistics import ImageStatistics
 RNG = np.random.default_rng(20180103)
 
 
-def random_patch(name: str, kind: str, picture: str, n: int = 20) -> Patch:
+def random_patch(name, kind, picture, n=20):
     codes = RNG.integers(1, 255, (n, 3), dtype=np.uint8)
     return Patch(name, kind, picture, decode_tone(codes), codes)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Three labelled pictures of 40 x 60 pixels: halves of leaf and fruit, and an unlabelled strip."""
     path = tmp_path_factory.mktemp("labelled")
     rng = np.random.default_rng(1)
@@ -44,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_kinds_are_classes_with_optional_stages() -> None:
+def test_kinds_are_classes_with_optional_stages():
     assert all(map(is_organ_kind, ("leaf", "pepper.ripe", "shoot.young_2")))
     assert not any(map(is_organ_kind, ("Leaf", "fruit", "pepper.", "pepper.Ripe", "pepper.a.b", "")))
     assert matches_kind("pepper.ripe", "pepper")
@@ -52,15 +49,15 @@ def test_kinds_are_classes_with_optional_stages() -> None:
     assert not matches_kind("peppery", "pepper")
 
 
-@pytest.mark.parametrize(("count", "limit"), [(10, 3), (7, 7), (5, None), (1_000_003, 20_000), (0, 4)])
-def test_even_indices_have_equal_gaps(count: int, limit: int | None) -> None:
+@pytest.mark.parametrize(("count", "limit"), [(10, 3), (7, 7), (5, None), (0, 4)])
+def test_even_indices_have_equal_gaps(count, limit):
     indices = even_indices(count, limit)
     assert len(indices) == min(count, limit or count)
     gaps = np.diff(np.concatenate([indices, [count + indices[0]]])) if count else np.zeros(1)
     assert gaps.max() - gaps.min() <= 1
 
 
-def test_set_pools_and_selects_patches() -> None:
+def test_set_pools_and_selects_patches():
     unripe, ripe = random_patch("a", "pepper.unripe", "one"), random_patch("b", "pepper.ripe", "two", 7)
     leaf = random_patch("c", "leaf", "two")
     reflectance = MeasuredSpectrum("r", "peduncle", Spectrum([400.0, 700.0], [0.1, 0.2], "hold"))
@@ -81,17 +78,8 @@ def test_set_pools_and_selects_patches() -> None:
         random_patch("d", "fruit", "one")
 
 
-def test_order_of_pictures_does_not_matter() -> None:
-    patches = tuple(random_patch(f"{k}", "leaf", f"p{k}", 30 + k) for k in range(5))
-    a, b = PatchSet("a", patches).statistics("leaf"), PatchSet("b", patches[::-1]).statistics("leaf")
-    assert (a.hue_spectrum == b.hue_spectrum).all()
-    assert a.mean_hue_deg == b.mean_hue_deg
-    assert a.mean_lab == pytest.approx(b.mean_lab, rel=1e-12)
-    assert a.covariance == pytest.approx(b.covariance, rel=1e-10, abs=1e-10)
-
-
-@pytest.mark.parametrize("centre_px", [300, 21, None])
-def test_hue_spectra_equal_image_statistics(folder: Path, centre_px: int | None) -> None:
+@pytest.mark.parametrize("centre_px", [21, None])
+def test_hue_spectra_equal_image_statistics(folder, centre_px):
     """As in the paper: percentage of a class's pixels in the centre of each picture, averaged."""
     images = open_images(folder)
     sums = ImageStatistics()
@@ -107,19 +95,11 @@ def test_hue_spectra_equal_image_statistics(folder: Path, centre_px: int | None)
         assert statistics.hue_spectrum == pytest.approx(sums.hue_spectra()[organ], abs=1e-12)
         assert statistics.grey_share == pytest.approx(sums.grey_fractions()[organ], abs=1e-12)
     assert patch_set.pictures == ("img1", "img2", "img10")
+    assert len(open_patches(open_images(folder), limit=2).pictures) == 2
     assert patch_set.kinds == ("leaf", "pepper")
 
 
-def test_same_folder_gives_same_patches(folder: Path) -> None:
-    a, b = open_patches(folder), open_patches(str(folder))
-    for first, second in zip(a.patches, b.patches, strict=True):
-        assert first.name == second.name
-        assert (first.codes == second.codes).all()
-    assert open_patches(open_images(folder)).kinds == a.kinds
-    assert len(open_patches(folder, limit=2).pictures) == 2
-
-
-def test_erosion_leaves_borders_out_and_counts_them(folder: Path) -> None:
+def test_erosion_leaves_borders_out_and_counts_them(folder):
     full, eroded = open_patches(folder), open_patches(folder, erode_px=2)
     for before, after in zip(full.patches, eroded.patches, strict=True):
         assert before.border == 0
@@ -128,7 +108,7 @@ def test_erosion_leaves_borders_out_and_counts_them(folder: Path) -> None:
         assert after.hues.sum() == after.pixels
 
 
-def test_erosion_uses_rows_and_columns() -> None:
+def test_erosion_uses_rows_and_columns():
     region = np.zeros((9, 9), bool)
     region[2:7, 3:9] = True
     assert erode(region, 1).sum() == 3 * 5  # the border of the picture is not eroded
@@ -136,7 +116,7 @@ def test_erosion_uses_rows_and_columns() -> None:
     assert not erode(region, 3).any()
 
 
-def test_clipped_pixels_are_counted_and_can_be_left_out(folder: Path) -> None:
+def test_clipped_pixels_are_counted_and_can_be_left_out(folder):
     full_set, reduced_set = open_patches(folder), open_patches(folder, clipped="leave_out")
     for full, reduced in zip(full_set.patches, reduced_set.patches, strict=True):
         codes = full.codes
@@ -147,32 +127,26 @@ def test_clipped_pixels_are_counted_and_can_be_left_out(folder: Path) -> None:
         assert (reduced.hues == full.hues).all()
 
 
-def test_large_patches_are_thinned_but_all_hues_are_counted() -> None:
+def test_large_patches_are_thinned_but_all_hues_are_counted():
     codes = RNG.integers(0, 256, (200, 300, 3), dtype=np.uint8)
     region = np.ones((200, 300), bool)
     patch = Extraction(limit_px=1000).patch(codes, region, name="n", kind="leaf", picture="p")
-    assert patch is not None
     assert patch.linear.shape == patch.codes.shape == (1000, 3)
     assert patch.pixels == 60_000
     assert (patch.hues == hue_histogram(codes)).all()
+    linear = Extraction(tone="linear").patch(codes, region, name="n", kind="leaf", picture="p")
+    assert linear.linear[0] == pytest.approx(codes[0, 0] / 255.0)
+    assert (linear.codes == srgb_codes(linear.linear)).all()
 
 
-def test_linear_tone_is_not_decoded() -> None:
-    codes = RNG.integers(0, 256, (5, 6, 3), dtype=np.uint8)
-    patch = Extraction(tone="linear").patch(codes, np.ones((5, 6), bool), name="n", kind="leaf", picture="p")
-    assert patch is not None
-    assert patch.linear == pytest.approx(codes.reshape(-1, 3) / 255.0)
-    assert (patch.codes == srgb_codes(patch.linear)).all()
-
-
-def rendered_frame(instances: NDArray[np.uint16], metadata: dict[str, object]) -> LabelledImage:
+def rendered_frame(instances, metadata):
     classes = np.where(instances > 0, np.uint8(OrganClass.PEPPER), np.uint8(OrganClass.BACKGROUND))
     classes[0] = OrganClass.LEAF
     colour = np.zeros((*classes.shape, 3), np.uint8)
     return LabelledImage("000001", colour, classes, instances, metadata=metadata)
 
 
-def test_ripeness_of_rendered_fruit_comes_from_harvest(folder: Path) -> None:
+def test_ripeness_of_rendered_fruit_comes_from_harvest(folder):
     instances = np.array([[0, 7, 7, 8, 9, 3]] * 4, np.uint16)
     fruit = [{"instance": k, "ripeness": ripeness} for k, ripeness in ((7, 0.49), (8, 0.5), (9, 1.0))]
     images, frame = open_images(folder), rendered_frame(instances, {"harvest": {"fruit": fruit}})
@@ -186,7 +160,7 @@ def test_ripeness_of_rendered_fruit_comes_from_harvest(folder: Path) -> None:
     assert set(dict(organ_regions(images, rendered_frame(instances, {})))) == {"leaf", "pepper"}
 
 
-def test_montoya_masks_separate_ripe_from_unripe(tmp_path: Path) -> None:
+def test_montoya_masks_separate_ripe_from_unripe(tmp_path):
     mask = np.array([[0, 1, 2, 3, 4, 5, 255]] * 3, np.uint8)
     colour = np.repeat(mask[..., None] * np.uint8(20) + np.uint8(50), 3, axis=-1)
     Image.fromarray(colour).save(tmp_path / "img1.png")
@@ -199,18 +173,16 @@ def test_montoya_masks_separate_ripe_from_unripe(tmp_path: Path) -> None:
     }
 
 
-def test_rejects_arguments_that_do_not_apply(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="applies only to a patches file"):
-        open_patches(folder, pictures=tmp_path)
-    with pytest.raises(InputError, match="applies only to a set"):
-        open_patches("fruit/vrhel_fruit_vegetable_reflectance", limit=3)
-    with pytest.raises(InputError, match="no such file"):
-        open_patches("nothing_like_it")
-    with pytest.raises(InputError, match="erode_px"):
-        open_patches(folder, erode_px=-1)
-    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "img1.png")
-    with pytest.raises(InputError, match="no picture is labelled"):
-        open_patches(tmp_path)
-    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "mask1.png")
-    with pytest.raises(InputError, match="no organ"):
-        open_patches(tmp_path)
+def test_rejects_arguments_that_do_not_apply(folder, tmp_path):
+    for source, options, message in (
+        (folder, {"pictures": tmp_path}, "applies only to a patches file"),
+        ("fruit/vrhel_fruit_vegetable_reflectance", {"limit": 3}, "applies only to a set"),
+        ("nothing_like_it", {}, "no such file"),
+        (folder, {"erode_px": -1}, "erode_px"),
+    ):
+        with pytest.raises(InputError, match=message):
+            open_patches(source, **options)
+    for name, message in (("img1", "no picture is labelled"), ("mask1", "no organ")):
+        Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / f"{name}.png")
+        with pytest.raises(InputError, match=message):
+            open_patches(tmp_path)

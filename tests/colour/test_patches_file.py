@@ -27,7 +27,7 @@ kind = "pepper.unripe"
 
 
 @pytest.fixture
-def pictures(tmp_path: Path) -> Path:
+def pictures(tmp_path) -> Path:
     """`p1.png` and `days/p2.png`, 20 x 30 pixels whose red is the column and green the row, and a mask."""
     (tmp_path / "days").mkdir()
     rows, columns = np.meshgrid(np.arange(20), np.arange(30), indexing="ij")
@@ -38,39 +38,35 @@ def pictures(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def write_patches_file(folder: Path, text: str) -> Path:
+def write_patches_file(folder, text):
     path = folder / "patches.toml"
     path.write_text(text)
     return path
 
 
-def test_regions_select_their_pixels(pictures: Path) -> None:
-    patch_set = open_patches(
-        write_patches_file(
-            pictures,
-            """
-            [[patch]]
-            picture = "p1.png"
-            kind = "leaf"
-            box = [3, 5, 9, 7]
+REGIONS = """
+[[patch]]
+picture = "p1.png"
+kind = "leaf"
+box = [3, 5, 9, 7]
 
-            [[patch]]
-            picture = "days/p2.png"
-            kind = "pepper.ripe"
-            name = "triangle"
-            polygon = [[0, 0], [10, 0], [0, 10]]
+[[patch]]
+picture = "days/p2.png"
+kind = "pepper.ripe"
+name = "triangle"
+polygon = [[0, 0], [10, 0], [0, 10]]
 
-            [[patch]]
-            picture = "p1.png"
-            kind = "stem"
-            mask = { file = "mask.png", value = 2 }
-            """,
-        )
-    )
-    box, stem, triangle = (
-        next(patch for patch in patch_set.patches if patch.kind == kind)
-        for kind in ("leaf", "stem", "pepper.ripe")
-    )
+[[patch]]
+picture = "p1.png"
+kind = "stem"
+mask = { file = "mask.png", value = 2 }
+"""
+
+
+def test_regions_select_their_pixels(pictures):
+    patch_set = open_patches(write_patches_file(pictures, REGIONS))
+    patches = {patch.kind: patch for patch in patch_set.patches}
+    box, stem, triangle = (patches[kind] for kind in ("leaf", "stem", "pepper.ripe"))
     assert sorted(map(tuple, box.codes[:, :2].tolist())) == [
         (100 + x, 100 + y) for x in range(3, 9) for y in range(5, 7)
     ]
@@ -87,27 +83,24 @@ def test_regions_select_their_pixels(pictures: Path) -> None:
     # Pictures may be in another folder.
     moved = pictures.parent / f"{pictures.name}_toml"
     moved.mkdir()
-    again = open_patches(
-        write_patches_file(moved, (pictures / "patches.toml").read_text()), pictures=pictures
-    )
+    again = open_patches(write_patches_file(moved, REGIONS), pictures=pictures)
     assert [patch.pixels for patch in again.patches] == [patch.pixels for patch in patch_set.patches]
 
 
-def test_settings_of_the_file_and_overrides(pictures: Path) -> None:
+def test_settings_of_the_file_and_overrides(pictures):
     text = '\n[[patch]]\npicture = "p1.png"\nkind = "leaf"\nbox = [0, 0, 20, 10]\n'
-    (plain,) = open_patches(write_patches_file(pictures, text)).patches
-    (inner,) = open_patches(write_patches_file(pictures, "erode_px = 1" + text)).patches
-    (middle,) = open_patches(write_patches_file(pictures, "centre_px = 6" + text)).patches
-    (linear,) = open_patches(write_patches_file(pictures, 'tone = "linear"' + text)).patches
-    assert plain.pixels == 200
-    assert inner.pixels == 19 * 9  # the border of the picture is not eroded
-    assert middle.pixels == 6 * 3
-    assert linear.linear.mean() > 2.0 * plain.linear.mean()
-    (over,) = open_patches(write_patches_file(pictures, "erode_px = 1" + text), erode_px=3).patches
-    assert over.pixels == 17 * 7
+
+    def patch(setting, **options):
+        return open_patches(write_patches_file(pictures, setting + text), **options).patches[0]
+
+    assert patch("").pixels == 200
+    assert patch("erode_px = 1").pixels == 19 * 9  # the border of the picture is not eroded
+    assert patch("erode_px = 1", erode_px=3).pixels == 17 * 7
+    assert patch("centre_px = 6").pixels == 6 * 3
+    assert patch('tone = "linear"').linear.mean() > 2.0 * patch("").linear.mean()
 
 
-def test_reads_measured_reflectances(tmp_path: Path) -> None:
+def test_reads_measured_reflectances(tmp_path):
     patch_set = open_patches(write_patches_file(tmp_path, PEPPER))
     (pepper,) = patch_set.spectra
     assert (pepper.name, pepper.kind) == ("green_pepper_136", "pepper.unripe")
@@ -117,31 +110,31 @@ def test_reads_measured_reflectances(tmp_path: Path) -> None:
     assert patch_set.pictures == ()
 
 
-def test_reads_a_csv_file_with_kinds(tmp_path: Path) -> None:
-    table = tmp_path / "mine.csv"
-    table.write_text("wavelength_nm,a,b\n400,0.1,0.2\n700,0.3,0.4\n")
+def test_reads_a_csv_file_with_kinds(tmp_path):
+    table, about = tmp_path / "mine.csv", 'title = "t"\nsource = "s"\nlicence = "CC0"\nkind = "measured"\n'
+
+    def opened(kinds, values="400,0.1,0.2\n700,0.3,0.4\n"):
+        table.write_text(f"wavelength_nm,a,b\n{values}")
+        table.with_suffix(".toml").write_text(about + kinds)
+        return open_patches(table)
+
+    (leaf,) = opened('[kinds]\na = "leaf"\n').spectra
+    assert leaf.spectrum.at(550.0) == pytest.approx([0.2])
+    for kinds, message in (
+        ("", "patches file"),
+        ('[kinds]\nc = "leaf"\n', "must be one of a, b"),
+        ('[kinds]\na = "tree"\n', r"kinds\.a"),
+    ):
+        with pytest.raises(InputError, match=message):
+            opened(kinds)
+    with pytest.raises(InputError, match=r"reflectances in \[0, 1\]"):
+        opened('[kinds]\na = "leaf"\n', "400,10,20\n700,30,40\n")
+    table.with_suffix(".toml").unlink()
     with pytest.raises(InputError, match=r"mine\.toml"):
         open_patches(table)
-    about = 'title = "t"\nsource = "s"\nlicence = "CC0"\nkind = "measured"\n'
-    table.with_suffix(".toml").write_text(about)
-    with pytest.raises(InputError, match="patches file"):
-        open_patches(table)
-    table.with_suffix(".toml").write_text(about + '[kinds]\na = "leaf"\n')
-    (leaf,) = open_patches(table).spectra
-    assert leaf.spectrum.at(550.0) == pytest.approx([0.2])
-    table.with_suffix(".toml").write_text(about + '[kinds]\nc = "leaf"\n')
-    with pytest.raises(InputError, match="must be one of a, b"):
-        open_patches(table)
-    table.with_suffix(".toml").write_text(about + '[kinds]\na = "tree"\n')
-    with pytest.raises(InputError, match=r"kinds\.a"):
-        open_patches(table)
-    table.write_text("wavelength_nm,a,b\n400,10,20\n700,30,40\n")
-    table.with_suffix(".toml").write_text(about + '[kinds]\na = "leaf"\n')
-    with pytest.raises(InputError, match=r"reflectances in \[0, 1\]"):
-        open_patches(table)
 
 
-def write_chart(path: Path, scale: float = 1.0) -> None:
+def write_chart(path, scale=1.0):
     """Write a picture of a chart of 240 x 160 pixels without a frame, as the camera sees it."""
     linear = chart_linear().reshape(4, 6, 3).repeat(40, axis=0).repeat(40, axis=1)
     Image.fromarray(encode_tone((scale * linear @ CAMERA.T).astype(np.float32))).save(path)
@@ -159,23 +152,21 @@ corners = [[0, 0], [240, 0], [240, 160], [0, 160]]
 """
 
 
-def test_chart_calibrates_the_pictures(tmp_path: Path) -> None:
+def test_chart_calibrates_the_pictures(tmp_path):
     leaf = np.array([0.08, 0.16, 0.03])
-    Image.fromarray(encode_tone(np.tile((CAMERA @ leaf).astype(np.float32), (12, 12, 1)))).save(
-        tmp_path / "p1.png"
-    )
+    picture = encode_tone(np.tile((CAMERA @ leaf).astype(np.float32), (12, 12, 1)))
+    Image.fromarray(picture).save(tmp_path / "p1.png")
     write_chart(tmp_path / "chart.png")
     (patch,) = open_patches(write_patches_file(tmp_path, CHARTED)).patches
     assert delta_e_2000(linear_srgb_to_lab(patch.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) < 1.0
     # Hues are counted in the calibrated colours.
     assert patch.codes[0] == pytest.approx(encode_tone(leaf.astype(np.float32)), abs=3)
-    (other,) = open_patches(
-        write_patches_file(tmp_path, CHARTED.replace("[chart]", '[[chart]]\npictures = ["p7.png"]'))
-    ).patches
+    text = CHARTED.replace("[chart]", '[[chart]]\npictures = ["p7.png"]')
+    (other,) = open_patches(write_patches_file(tmp_path, text)).patches
     assert delta_e_2000(linear_srgb_to_lab(other.linear.mean(axis=0)), linear_srgb_to_lab(leaf)) > 3.0
 
 
-def test_chart_in_every_picture_removes_exposure(tmp_path: Path) -> None:
+def test_chart_in_every_picture_removes_exposure(tmp_path):
     """Two exposures of the same scene become one colour."""
     for k, scale in ((1, 1.0), (2, 0.4)):
         write_chart(tmp_path / f"p{k}.png", scale)
@@ -183,10 +174,9 @@ def test_chart_in_every_picture_removes_exposure(tmp_path: Path) -> None:
         f'[[patch]]\npicture = "p{k}.png"\nkind = "leaf"\nbox = [125, 5, 155, 35]\n' for k in (1, 2)
     )
     text += "[chart]\ncorners = [[0, 0], [240, 0], [240, 160], [0, 160]]\n"
-    bright, dark = open_patches(write_patches_file(tmp_path, text)).patches
     foliage = linear_srgb_to_lab(chart_linear()[3])
-    assert delta_e_2000(linear_srgb_to_lab(bright.linear.mean(axis=0)), foliage) < 1.0
-    assert delta_e_2000(linear_srgb_to_lab(dark.linear.mean(axis=0)), foliage) < 1.0
+    for patch in open_patches(write_patches_file(tmp_path, text)).patches:
+        assert delta_e_2000(linear_srgb_to_lab(patch.linear.mean(axis=0)), foliage) < 1.0
 
 
 BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'
@@ -195,19 +185,15 @@ BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "at least one"),
         (BOX, "one of box, polygon and mask"),
         (BOX + "box = [0, 0, 4, 4]\npolygon = [[0, 0], [1, 0], [1, 1]]", "box and polygon"),
         (BOX + "box = [0, 0, 400, 4]", r"patch\.0\.box.* 30"),
         (BOX + "box = [5, 5, 5, 9]", "x0 < x1"),
-        (BOX + "polygon = [[0, 0], [1, 0]]", r"patch\.0\.polygon"),
         (BOX + "polygon = [[0, 0], [1, 0], [99, 1]]", "within the 30x20"),
         (BOX + 'mask = { file = "mask.png", value = 9 }', "leaves no pixel"),
         (BOX + 'mask = { file = "p1.png", value = 9 }', "colours, not values"),
         (BOX + 'mask = { file = "mask.png", value = "#ff0000" }', "values, not colours"),
-        (BOX + 'mask = { file = "none.png", value = 9 }', "cannot be read"),
         (BOX.replace("leaf", "tree") + "box = [0, 0, 4, 4]", r"patch\.0\.kind.*stage"),
-        (BOX.replace("p1", "p9") + "box = [0, 0, 4, 4]", "p9.png"),
         (BOX + 'box = [0, 0, 4, 4]\nname = "n"\n' + BOX + 'box = [0, 0, 4, 4]\nname = "n"', "'n'.*one patch"),
         ("erode_px = 9\n" + BOX + "box = [5, 5, 9, 9]", "leaves no pixel"),
         (PEPPER.replace("green_pepper_136", "blue_pepper"), "must be one of"),
@@ -215,15 +201,14 @@ BOX = '[[patch]]\npicture = "p1.png"\nkind = "leaf"\n'
         (PEPPER + "[chart]\ndetect = false", "corners or detect"),
         (PEPPER + "[[chart]]\ndetect = true\n[[chart]]\ndetect = true", "may omit pictures"),
         (BOX + "box = [0, 0, 4, 4]\n[chart]\ndetect = true", "shows no ColorChecker"),
-        (PEPPER + "colour = 3", "not a known key"),
     ],
 )
-def test_errors_name_key_and_allowed_values(pictures: Path, text: str, message: str) -> None:
+def test_errors_name_key_and_allowed_values(pictures, text, message):
     with pytest.raises(InputError, match=message):
         open_patches(write_patches_file(pictures, text))
 
 
-def test_reflectances_need_no_provenance(tmp_path: Path) -> None:
+def test_reflectances_need_no_provenance(tmp_path):
     table = tmp_path / "mine.csv"
     table.write_text("wavelength_nm,a\n400,0.1\n700,0.5\n")
     assert read_reflectance(table, "a", "leaf").name == "a"

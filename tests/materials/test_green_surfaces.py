@@ -36,12 +36,6 @@ def test_an_old_stem_is_corky(surfaces, nm):
     assert lab_hue(at(table, 0.6), nm) > 100
 
 
-def test_stalks_differ_in_gloss(surfaces):
-    peduncle, stem, calyx = (surfaces[name] for name in ("peduncle", "stem", "calyx"))
-    assert peduncle.ior > stem.ior
-    assert peduncle.roughness[0] < stem.roughness[0] < calyx.roughness[0]
-
-
 def test_a_cut_has_pale_pith_in_a_green_ring_and_dries_to_brown(surfaces, nm):
     dried, pith, ring, bark = surfaces["cut"].reflectance[:, 0]
     assert 50 < lab_hue(dried, nm) < 85
@@ -72,12 +66,6 @@ def test_cork_of_a_stem_is_lighter_than_its_fissures(surfaces, nm):
     assert abs(lab(at(table, 0.65), nm)[0] - lab(at(table, 0.53), nm)[0]) < 3
     # Fissures are narrow: they change a tenth to a third of the surface by more than .08.
     assert 0.1 < np.mean(textures < -0.08) < 0.33
-
-
-def test_a_calyx_has_a_brown_end_of_its_path_and_is_green_from_there_on(surfaces, nm):
-    table = surfaces["calyx"].reflectance[:, 0]
-    assert 65 < lab_hue(table[0], nm) < 90
-    assert lab_hue(at(table, 0.125), nm) > 105
 
 
 def test_relief_of_a_calyx_loses_little_light(surfaces, kaite):

@@ -35,11 +35,8 @@ def total(leaf, spectrum, kaite):
     """
     path = kaite.pigments["leaf"]
     lobes = [(1 - path.wide_share, path.roughness), (path.wide_share, path.wide_roughness)]
-    gloss = [sum(share * cone_gloss(path.ior, alpha[side]) for share, alpha in lobes) for side in (0, 1)]
-    mean = [
-        sum(share * cuticle_transmittance(path.ior, alpha[side])[1] for share, alpha in lobes)
-        for side in (0, 1)
-    ]
+    gloss = [sum(w * cone_gloss(path.ior, alpha[k]) for w, alpha in lobes) for k in (0, 1)]
+    mean = [sum(w * cuticle_transmittance(path.ior, alpha[k])[1] for w, alpha in lobes) for k in (0, 1)]
 
     def spectra(state):
         through = spectrum(leaf.transmittance, state)
@@ -63,7 +60,7 @@ def test_gloss_and_body_sum_to_prospect(total, kaite, nm, state):
     assert transmittance == pytest.approx(leaf.transmittance[0], abs=1e-9)
 
 
-@pytest.mark.parametrize("state", [DARK, MEAN, 0.0])
+@pytest.mark.parametrize("state", [DARK, 0.0])
 def test_lower_side_is_an_unpigmented_layer_over_a_leaf(total, kaite, nm, state):
     """Multiple reflection between a layer and a leaf of 60 % of the pigments, summed term by term."""
     contents = kaite.pigments["leaf"].at([state])
@@ -87,17 +84,7 @@ def test_gloss_is_that_of_the_mixture_of_its_lobes(kaite):
     assert share == pytest.approx(expected, abs=1e-5)
 
 
-def test_lower_side_reflects_about_twice_as_much_blue_and_red(total, nm):
-    """Of the complete sheet in an integrating sphere, surface reflection included; for the mean leaf."""
-    upper, lower, _ = total(MEAN)
-    for band in (450, 670):
-        assert 1.7 < (lower / upper)[nm == band] < 2.3
-    lightness, a, b = lab(lower, nm)
-    assert lightness == pytest.approx(50, abs=2)
-    assert np.hypot(a, b) == pytest.approx(25, abs=3)
-
-
-@pytest.mark.parametrize("name", ["kaite", "red_blocky", "tomato"])
+@pytest.mark.parametrize("name", ["kaite", "tomato"])
 def test_no_light_is_made_at_any_wavelength_or_state(name):
     """Complete sheets, healthy and aged, up to 2500 nm, from either side."""
     nm = np.arange(400.0, 2501.0, 10.0)
@@ -113,23 +100,6 @@ def test_no_light_is_made_at_any_wavelength_or_state(name):
         assert np.all(lower[:, nm < 1300] >= upper[:, nm < 1300] - 1e-9)
 
 
-MEAN_STATES = {"kaite": 0.72, "red_blocky": 0.76, "tomato": 0.65}
-
-
-@pytest.mark.parametrize("name", MEAN_STATES)
-def test_mean_leaf_has_the_measured_contents(name):
-    """The inversion of LOPEX tomato leaves, at the mean state of the cultivar's blades."""
-    cultivar = load_cultivar(name)
-    blade = next(kind for kind in cultivar.organs.values() if kind.form == "blade")
-    state = blade.distributions["state"]
-    assert state.mean == MEAN_STATES[name]
-    contents = cultivar.pigments["leaf"].at([state.mean])
-    assert contents["structure_n"] == 1.58
-    assert contents["chlorophyll_ug_cm2"] == 43
-    assert contents["carotenoid_ug_cm2"] == 10.5
-    assert contents["anthocyanin_ug_cm2"] == 1.3
-
-
 def channel_ratio(reflectance, nm):
     """Red over green of the sensor under D65, white balanced."""
     response = load_sensor("ueye_ui5250re").quantum_efficiency.at(nm) * sky_spectrum("d65").at(nm) * nm
@@ -137,33 +107,18 @@ def channel_ratio(reflectance, nm):
     return red / green
 
 
-@pytest.mark.parametrize("name", MEAN_STATES)
-def test_mean_leaf_has_the_hue_of_measured_leaves(name, nm):
+@pytest.mark.parametrize(("name", "state"), [("kaite", 0.72), ("tomato", 0.65)])
+def test_mean_leaf_has_the_hue_of_measured_leaves(name, state, nm):
     """Hue of 103 to 126 and a channel ratio as of the green leaves of Vrhel et al. 1994."""
-    state = np.array([MEAN_STATES[name]])
+    state = np.array([state])
     sheet = leaf_optics(load_cultivar(name).pigments["leaf"], nm, state)[0][0]
     visible = (nm >= 400) & (nm <= 780)
     assert 118 < lab_hue(sheet[visible], nm[visible]) < 126
-    green = [
-        leaf
-        for leaf in (s.at(nm[visible]) for s in read_spectra("leaf/vrhel_leaf_reflectance").values())
-        if 103 < lab_hue(leaf, nm[visible]) < 126
-    ]
+    leaves = [spectrum.at(nm[visible]) for spectrum in read_spectra("leaf/vrhel_leaf_reflectance").values()]
+    green = [leaf for leaf in leaves if 103 < lab_hue(leaf, nm[visible]) < 126]
     ratios = [channel_ratio(leaf, nm[visible]) for leaf in green]
     assert len(green) >= 6
     assert min(ratios) < channel_ratio(sheet[visible], nm[visible]) < max(ratios)
-
-
-def test_a_tenth_of_residue_takes_the_saturation_of_a_flat_leaf_from_a_half_to_three_tenths(total, leaf, nm):
-    """S = C*/(L* + 16) of the complete sheet, flat, lit within PROSPECT's cone, a tenth of it grey."""
-
-    def saturation(reflectance):
-        lightness, a, b = lab(reflectance, nm)
-        return np.hypot(a, b) / (lightness + 16)
-
-    clean = total(MEAN)[0]
-    assert saturation(clean) == pytest.approx(0.49, abs=0.02)
-    assert saturation(0.9 * clean + 0.1 * leaf.residue_reflectance) == pytest.approx(0.29, abs=0.02)
 
 
 # Ranges for green leaves of crops in reviews and handbooks (Woolley 1971, Plant Physiol. 47:656;
@@ -177,11 +132,11 @@ RANGES = {
 }
 
 
-@pytest.mark.parametrize("wavelength", RANGES)
 @pytest.mark.parametrize("state", [PALE, DARK])
-def test_blades_are_in_the_ranges_of_the_literature(total, nm, wavelength, state):
-    for spectrum, (low, high) in zip(total(state), RANGES[wavelength], strict=True):
-        assert low <= spectrum[nm == wavelength] <= high
+def test_blades_are_in_the_ranges_of_the_literature(total, nm, state):
+    for wavelength, ranges in RANGES.items():
+        for spectrum, (low, high) in zip(total(state), ranges, strict=True):
+            assert low <= spectrum[nm == wavelength] <= high
 
 
 def test_blades_are_among_measured_leaves(leaf, spectrum, nm):
@@ -194,39 +149,6 @@ def test_blades_are_among_measured_leaves(leaf, spectrum, nm):
         body = spectrum(leaf.reflectance[:, 0], state)[visible]
         assert np.all(body > low - 0.015)
         assert np.all(body < high + 0.01)
-
-
-def test_red_edge_and_infrared_plateau(leaf, spectrum, nm):
-    """Reflectance is steepest between 690 and 730 nm, later in darker leaves, and then constant."""
-    edges = []
-    for state in (PALE, 0.6, DARK):
-        front = spectrum(leaf.reflectance[:, 0], state)
-        edges.append(nm[1:][np.argmax(np.diff(front) * (nm[1:] > 640))])
-        plateau = front[(nm >= 800) & (nm <= 900)]
-        assert np.ptp(plateau) < 0.02
-    assert 690 <= edges[0] <= edges[1] <= edges[2] <= 730
-    plateau = (nm >= 800) & (nm <= 1000)
-    healthy = np.linspace(leaf.first_state, 1, len(leaf.reflectance)) >= 0
-    total = leaf.reflectance + leaf.transmittance[:, None]
-    assert total[healthy][..., plateau].min() > 0.85
-
-
-def test_lower_side_is_paler_and_nearly_as_bright_in_the_infrared(total, nm):
-    for state in (PALE, 0.5, MEAN, DARK):
-        upper, lower, _ = total(state)
-        assert np.all(lower >= upper - 1e-3)
-        assert 1.4 < (lower / upper)[nm == 550] < 2.0
-        infrared = nm >= 800
-        assert lower[infrared] == pytest.approx(upper[infrared], abs=0.015)
-
-
-def test_transmitted_light_is_yellow_green(leaf, spectrum, nm):
-    transmittance = spectrum(leaf.transmittance, 0.6)
-    assert transmittance[nm == 550] > 5 * transmittance[nm == 670] > transmittance[nm == 450]
-    lightness, a, b = lab(transmittance, nm)
-    assert a < -10
-    assert b > 25
-    assert lightness > 25
 
 
 def test_a_vein_has_the_spectrum_of_its_pigments(leaf, spectrum, kaite, nm):
@@ -261,5 +183,4 @@ def test_ageing_tissue_turns_yellow_then_pale_brown_and_dry(total, kaite, nm):
     assert all(lab(sheet, nm)[0] > lab(upper[0], nm)[0] + 15 for sheet in upper[2:])
     # In water's band at 1450 nm a green leaf is dark and a dry one is not.
     wet, dry = leaf_optics(kaite.pigments["leaf"], np.array([1450.0]), np.array([MEAN, -1.0]))[0][:, 0]
-    assert wet < 0.25
-    assert dry > 0.45
+    assert wet < 0.25 < 0.45 < dry

@@ -1,13 +1,16 @@
 """Properties of every surface of the plant and of the greenhouse, from 300 to 1100 nm."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from plant_colours import at, lab, lab_hue
 
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.cultivar.organs import DEFAULT_KINDS
-from pepperscene.materials import greenhouse_surfaces, leaf_body, organ_surfaces, organs, rind_reflectance
+from pepperscene.materials import greenhouse_surfaces, leaf_body, organs, rind_reflectance
 from pepperscene.materials.leaf import leaf_surface
+from pepperscene.materials.leaf_textures import leaf_textures
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}
 DRY = {"dry_shoot"}
@@ -76,14 +79,13 @@ def test_organs_are_bright_in_the_near_infrared(surfaces, nm):
 
 
 def test_green_organs_have_the_hue_and_lightness_of_photographs(surfaces, nm):
-    for name in ("leaf", *GREEN):
-        table, first = surfaces[name].reflectance[:, 0], surfaces[name].first_state
-        assert 95 < lab_hue(at(table, 0.6, first), nm) < 145
-        assert lab(at(table, 1, first), nm)[0] < lab(at(table, 0.5, first), nm)[0]
-
     def lightness(name, state=0.6):
         return lab(at(surfaces[name].reflectance[:, 0], state, surfaces[name].first_state), nm)[0]
 
+    for name in ("leaf", *GREEN):
+        table, first = surfaces[name].reflectance[:, 0], surfaces[name].first_state
+        assert 95 < lab_hue(at(table, 0.6, first), nm) < 145
+        assert lightness(name, 1) < lightness(name, 0.5)
     # From light to dark: petiole, peduncle, calyx, leaf; and the unripe fruit.
     order = [lightness(name) for name in ("petiole", "peduncle", "calyx", "leaf")]
     assert np.all(np.diff(order) < -3)
@@ -100,86 +102,66 @@ def test_patterns_change_most_states_by_less_than_a_quarter(surfaces):
         assert np.mean(np.abs(surface.pattern) < 0.25) > 0.9, name
 
 
-def test_fruit_and_tubes_have_no_seam(surfaces):
-    """The pattern's step across u = 1 -> 0 is like any other step."""
-    for name in ("fruit", *GREEN):
-        pattern = surfaces[name].pattern
-        inside = np.abs(np.diff(pattern, axis=2)).mean()
-        assert np.abs(pattern[:, :, 0] - pattern[:, :, -1]).mean() < 3 * inside, name
-
-
-def test_textures_of_fruit_and_green_organs_differ(surfaces):
+def test_textures_of_fruit_and_green_organs_differ_and_have_no_seam(surfaces):
     """Stacks of four to eight, of at most 256 x 256, of which no two are correlated."""
     for name in ("fruit", *GREEN, "cut"):
-        for images in (surfaces[name].pattern, surfaces[name].relief_mm):
-            if images is None:
-                continue
+        for images in filter(np.ndim, (surfaces[name].pattern, surfaces[name].relief_mm)):
             assert 4 <= len(images) <= 8
             assert max(images.shape[1:]) <= 256
             assert images.dtype == np.float32
             correlation = np.corrcoef(images.reshape(len(images), -1)) - np.eye(len(images))
             assert np.abs(correlation).max() < 0.2, name
+        if name != "cut":
+            # The pattern's step across u = 1 -> 0 is like any other step.
+            pattern = surfaces[name].pattern
+            inside = np.abs(np.diff(pattern, axis=2)).mean()
+            assert np.abs(pattern[:, :, 0] - pattern[:, :, -1]).mean() < 3 * inside, name
 
 
-def test_makes_only_the_surfaces_of_kinds_that_grow(nm):
+def test_petals_transmit_and_have_the_colour_of_their_crop(nm):
     tomato = load_cultivar("tomato")
-    surfaces = organ_surfaces(tomato, nm)
-    assert set(surfaces) == {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "petal"}
-    petal = surfaces["petal"]
+    names = {tomato.kinds[kind].surface: kind for kind in tomato.present_kinds}
+    assert set(names) == {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "petal"}
+    petal = organs._organ_surface(tomato, names["petal"], "petal", nm)
     assert (petal.reflectance + petal.transmittance[:, None]).max() <= 1 + 1e-9
     assert petal.transmittance.max() > 0.1
     # Tomato petals are yellow; those of sweet pepper nearly white, and brighter.
     assert 75 < lab_hue(petal.reflectance[-1, 0], nm) < 110
     path = load_cultivar("kaite_february").pigments["petal"]
-    white = leaf_surface("petal", path, nm).reflectance[-1, 0]
-    lightness, *ab = lab(white, nm)
+    lightness, *ab = lab(leaf_surface("petal", path, nm).reflectance[-1, 0], nm)
     assert np.hypot(*ab) < 15
     assert lightness > lab(petal.reflectance[-1, 0], nm)[0]
 
 
-def test_changed_organs_have_changed_surfaces(surfaces, kaite, nm):
-    """A second kind of leaf with its own pigments has its own pattern, `relief` scales heights, and a coarse
-    grid samples the fine one."""
-    young = kaite.organs["shoot_lamina"].model_copy(update={"surface": "young_leaf"})
-    lamina = kaite.organs["lamina"].model_copy(update={"relief": 0.5})
-    cultivar = kaite.model_copy(
-        update={
-            "organs": kaite.organs | {"shoot_lamina": young, "lamina": lamina},
-            "pigments": kaite.pigments | {"young_leaf": kaite.pigments["leaf"]},
-        }
-    )
-    changed = organ_surfaces(cultivar, nm[::8])
-    assert changed["young_leaf"].name == "young_leaf"
-    assert changed["young_leaf"].reflectance.tobytes() == changed["leaf"].reflectance.tobytes()
-    assert not np.array_equal(changed["young_leaf"].pattern, changed["leaf"].pattern)
-    np.testing.assert_array_equal(changed["leaf"].relief_mm, 0.5 * surfaces["leaf"].relief_mm)
-    for name, surface in (changed | greenhouse_surfaces(nm[::8])).items():
-        expected = surfaces[name.removeprefix("young_")].reflectance[..., ::8]
+def test_surfaces_depend_on_their_name_and_grid_and_not_on_threads(surfaces, kaite: Cultivar, nm):
+    """Another name has another pattern, and a coarse grid of wavelengths samples the fine one."""
+    for kind, name in (("petiole", "petiole"), ("peduncle", "peduncle"), ("scar", "cut")):
+        serial = organs._organ_surface(kaite, kind, name, nm)
+        for field in ("reflectance", "transmittance", *MAPS):
+            assert np.array_equal(getattr(serial, field), getattr(surfaces[name], field)), (name, field)
+    renamed = kaite.model_copy(update={"pigments": kaite.pigments | {"young": kaite.pigments["petiole"]}})
+    young = organs._organ_surface(renamed, "petiole", "young", nm[::8])
+    assert young.name == "young"
+    assert not np.array_equal(young.pattern, surfaces["petiole"].pattern)
+    for name, surface in (greenhouse_surfaces(nm[::8]) | {"petiole": young}).items():
+        expected = surfaces[name].reflectance[..., ::8]
         assert surface.reflectance == pytest.approx(expected, abs=1e-12)
+
+
+def test_relief_of_a_kind_scales_its_heights(surfaces, kaite: Cultivar, nm, monkeypatch):
+    monkeypatch.setattr(organs, "leaf_textures", partial(leaf_textures, count=1))
+    lamina = kaite.organs["lamina"].model_copy(update={"relief": 0.5})
+    low = kaite.model_copy(update={"organs": kaite.organs | {"lamina": lamina}})
+    leaf = organs._organ_surface(low, "lamina", "leaf", nm[::8])
+    np.testing.assert_array_equal(leaf.relief_mm, 0.5 * surfaces["leaf"].relief_mm[:1])
 
 
 def test_ribs_run_along_the_organ_and_are_gentle(surfaces, kaite):
     """Slopes are steeper around than along, and below 30 degrees almost everywhere."""
-    sizes = {name: kaite.organs[name].distributions for name in ("petiole", "internode", "peduncle")}
-    girth_m = {
-        "petiole": np.pi * sizes["petiole"]["diameter"].mean,
-        "stem": np.pi * kaite.stem.diameter.mean,
-        "peduncle": np.pi * sizes["peduncle"]["diameter"].mean,
-    }
-    for (name, girth), size in zip(girth_m.items(), sizes.values(), strict=True):
-        relief = surfaces[name].relief_mm
-        around = np.gradient(relief, axis=2) * relief.shape[2] / (1e3 * girth)
+    for name, kind in (("petiole", "petiole"), ("stem", "internode"), ("peduncle", "peduncle")):
+        size, relief = kaite.organs[kind].distributions, surfaces[name].relief_mm
+        diameter_m = (kaite.stem.diameter if name == "stem" else size["diameter"]).mean
+        around = np.gradient(relief, axis=2) * relief.shape[2] / (1e3 * np.pi * diameter_m)
         along = np.gradient(relief, axis=1) * relief.shape[1] / (1e3 * size["length"].mean)
         assert np.std(around) > 3 * np.std(along), name
         assert np.mean(np.abs(around) < np.tan(np.radians(30))) > 0.98, name
-
-
-def test_is_deterministic_and_independent_of_threads(surfaces, kaite: Cultivar, nm):
-    serial = {}
-    for kind in kaite.present_kinds:
-        name = kaite.kinds[kind].surface
-        if name not in serial:
-            serial[name] = organs._organ_surface(kaite, kind, name, nm)
-    for name, surface in (serial | greenhouse_surfaces(nm)).items():
-        for field in ("reflectance", "transmittance", *MAPS):
-            assert np.array_equal(getattr(surface, field), getattr(surfaces[name], field)), (name, field)

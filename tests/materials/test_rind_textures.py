@@ -1,4 +1,4 @@
-"""Textures of fruit on their body of revolution, against the meshes that show them."""
+"""Textures of fruit on their body of revolution, against the meshes that show them; ribs and warts."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_a_place_on_the_body_is_near_that_on_a_mesh(body):
     levels = np.unique(v)
     width = np.array([distance[v == level].mean() for level in levels])
     upper, lower = levels < 0.4, levels > 0.8
-    for part, end, rows in ((upper, CALYX_MM, slice(0, 100)), (lower[::1], 6.0, slice(200, 256))):
+    for part, end, rows in ((upper, CALYX_MM, slice(0, 100)), (lower, 6.0, slice(200, 256))):
         order = np.argsort(width[part])
         on_mesh = np.interp(end, width[part][order], levels[part][order])
         order = np.argsort(body.radius_mm[rows])
@@ -105,3 +105,45 @@ def test_noise_has_no_seam_and_the_same_grain_at_the_ends(body):
     rows = [20, 128]
     per_mm = step[:, rows].mean(axis=(0, 2)) / (2 * np.pi * body.radius_mm[rows] / rt.SHAPE[1])
     assert per_mm[0] == pytest.approx(per_mm[1], rel=0.2)
+
+
+CUCUMBER_MM = (132.0, 320.0)
+ZERO = rt.FruitTextures(*np.zeros((3, rt.FRUIT_TEXTURES, *rt.SHAPE)))
+
+
+def skin_of(**values):
+    return rt.add_skin(ZERO, CUCUMBER_MM, rt.FruitSkin(**values), np.random.default_rng(5))
+
+
+def test_ribs_have_the_stated_number_and_height_and_pale_crests_at_the_blossom_end():
+    assert skin_of() is skin_of(rib_height_mm=1.0) is ZERO
+    ribs, skin = 10, skin_of(ribs=10, rib_height_mm=0.4)
+    relief, pattern = skin.relief_mm, skin.pattern
+    middle = relief[:, rt.SHAPE[0] // 2]
+    waves = np.abs(np.fft.rfft(middle, axis=1))[:, 1:]
+    assert np.all(1 + waves.argmax(axis=1) == ribs)
+    assert np.ptp(middle, axis=1) == pytest.approx(0.4, rel=0.02)
+    # They end in both ends of the fruit.
+    assert np.ptp(relief[:, [0, -1]], axis=2).max() < 0.1 * 0.4
+    assert pattern[:, : rt.SHAPE[0] // 2].min() == pytest.approx(0.0, abs=1e-12)
+    assert pattern[:, -4:].min() < -0.2
+    assert pattern.max() <= 0.0
+    # Textures differ.
+    rows = skin_of(ribs=10, rib_height_mm=0.4, warts_per_cm2=0.3).relief_mm.reshape(rt.FRUIT_TEXTURES, -1)
+    assert np.abs(np.corrcoef(rows) - np.eye(rt.FRUIT_TEXTURES)).max() < 0.9
+
+
+def test_warts_have_the_stated_number_size_and_height():
+    """Sums over the skin: a wart of radius r and height h has a volume of pi r^2 h / 3."""
+    per_cm2, height_mm, width_mm = 0.2, 0.5, 6.0
+    relief = skin_of(warts_per_cm2=per_cm2, wart_height_mm=height_mm, wart_width_mm=width_mm).relief_mm
+    body = rt.FruitBody.of(*CUCUMBER_MM)
+    texel_mm2 = 2 * np.pi * body.radius_mm / rt.SHAPE[1] * body.length_mm / rt.SHAPE[0]
+    area_mm2 = texel_mm2.sum() * rt.SHAPE[1]
+    volume = (relief * texel_mm2[:, None]).sum(axis=(1, 2)).mean()
+    # The third moment of the relative size, uniform between 0.6 and 1.4.
+    moment = (1.4**4 - 0.6**4) / (4 * 0.8)
+    expected = per_cm2 * area_mm2 / 100 * moment * np.pi * (0.5 * width_mm) ** 2 * height_mm / 3
+    assert volume == pytest.approx(expected, rel=0.1)
+    assert 1.2 * height_mm < relief.max() <= 1.4 * height_mm
+    assert relief.min() == 0.0

@@ -49,11 +49,6 @@ class RandomSamples:
         sums = indirect.sum(axis=-1).astype(np.float32)
         return [*self.direct(None, begin, end), *sums, squares.astype(np.float32)]
 
-    def white_squares(self) -> np.ndarray:
-        """`(pixels,)` squares of the first direct sample, in units of white, summed over channels."""
-        light = (self.flash + self.sky_and_sun)[:, :, 0] / self.white[:, None]
-        return np.square(light).sum(axis=0)
-
 
 def variance(samples: np.ndarray, white: np.ndarray):
     """Unbiased variance of one sample `(c, n)`, summed over the channels in units of white.
@@ -107,26 +102,15 @@ def test_means_and_variances_equal_those_of_the_samples(channels):
     assert np.array_equal(accumulator.indirect_variance(), light.variance.indirect)
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_images_have_their_shapes_and_types(channels):
-    samples = RandomSamples(channels, 2, 2)
+def test_images_have_their_shapes_and_later_samples_do_not_change_them():
+    samples = RandomSamples(3, 4, 3)
     accumulator = samples.accumulator()
     accumulator.add_all(samples.all_light(0, 2), 2)
     light = accumulator.light()
     for name in ("flash", "sky_and_sun", "indirect", "normal"):
         image = getattr(light, name)
-        shape = (HEIGHT, WIDTH, 3 if name == "normal" else channels)
-        assert (image.shape, image.dtype) == (shape, np.float32), name
+        assert (image.shape, image.dtype) == ((HEIGHT, WIDTH, 3), np.float32), name
         assert image.flags.c_contiguous, name
-    assert light.coverage.shape == (HEIGHT, WIDTH, 2)
-    assert light.variance.direct.shape == light.variance.indirect.shape == (HEIGHT, WIDTH)
-
-
-def test_later_samples_do_not_change_a_light_computed_before():
-    samples = RandomSamples(3, 4, 3)
-    accumulator = samples.accumulator()
-    accumulator.add_all(samples.all_light(0, 2), 2)
-    light = accumulator.light()
     images = light.flash, light.variance.samples, light.variance.direct
     before = [image.copy() for image in images]
     accumulator.add_direct(samples.direct(None, 2, 4), 2)
@@ -145,19 +129,20 @@ def test_without_indirect_samples_there_is_no_indirect_light():
     assert np.array_equal(light.total(), light.flash + light.sky_and_sun)
 
 
-@pytest.mark.parametrize(("copies", "rounding"), [(1, 1e-6), (64, 1e-5)])
-def test_equal_samples_have_no_variance(copies, rounding):
+def test_equal_samples_have_no_variance():
     # Up to what single precision leaves of a difference between a square and itself.
     samples = RandomSamples(3, 1, 5)
-    accumulator = samples.accumulator()
-    accumulator.add_all([np.float32(copies) * part for part in samples.all_light(0, 1)], copies)
-    direct = accumulator.direct_variance().ravel()
-    assert (direct >= 0.0).all()
-    assert (direct <= rounding * samples.white_squares()).all()
-    assert np.isfinite(accumulator.indirect_variance()).all()
+    for copies, rounding in ((1, 1e-6), (64, 1e-5)):
+        accumulator = samples.accumulator()
+        accumulator.add_all([np.float32(copies) * part for part in samples.all_light(0, 1)], copies)
+        direct = accumulator.direct_variance().ravel()
+        assert (direct >= 0.0).all()
+        light = (samples.flash + samples.sky_and_sun)[:, :, 0] / samples.white[:, None]
+        assert (direct <= rounding * np.square(light).sum(axis=0)).all()
+        assert np.isfinite(accumulator.indirect_variance()).all()
 
 
-@pytest.mark.parametrize("scale", [1e-20, 1.0, 1e17])
+@pytest.mark.parametrize("scale", [1e-20, 1e17])
 def test_variances_do_not_depend_on_the_unit_of_light(scale):
     # They are in units of white, so that squares stay within single precision.
     results = []
@@ -180,7 +165,7 @@ def tracer():
 
 def test_splitting_into_passes_does_not_change_direct_light(tracer, monkeypatch):
     single = tracer.light(8, 4)
-    for lanes in (8, 8 * 100, 8 * 24 * 16 - 1):
+    for lanes in (8 * 100, 8 * 24 * 16 - 1):
         monkeypatch.setattr(accumulate, "_LANES", lanes)
         split = tracer.light(8, 4)
         for part in ("flash", "sky_and_sun", "albedo", "normal", "coverage"):
@@ -207,10 +192,10 @@ def test_refinement_adds_the_samples_that_would_have_come_next(tracer):
 
 
 def test_variance_of_traced_samples_equals_that_of_independent_samples(tracer):
-    # One sample per frame, over 128 seeds, has the variance that 256 samples of a frame report: well-spread
+    # One sample per frame, over 64 seeds, has the variance that 256 samples of a frame report: well-spread
     # samples cover what independent ones do. Indirect light is left out, as rare paths make most of its
     # variance. Deviations are compared, in which the few pixels with the brightest edges weigh less.
-    singles = [tracer.light(1, 1, seed=100 + seed) for seed in range(128)]
+    singles = [tracer.light(1, 1, seed=100 + seed) for seed in range(64)]
     light = np.array([single.flash.astype(float) + single.sky_and_sun for single in singles])
     reported = tracer.light(256, 1).variance
     independent = np.sqrt((light / reported.white).var(axis=0, ddof=1).sum(axis=-1))
@@ -219,6 +204,7 @@ def test_variance_of_traced_samples_equals_that_of_independent_samples(tracer):
     assert np.corrcoef(deviation.ravel(), independent.ravel())[0, 1] > 0.95
 
 
+@pytest.mark.long
 def test_variance_from_four_samples_equals_that_from_many(tracer):
     # Averaged over the image, as adaptive sampling uses it. So small a image has few edges: frames differ
     # by half, their mean over 48 by 7 %.

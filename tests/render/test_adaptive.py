@@ -44,9 +44,8 @@ def small_camera(*, flash: bool = True, mono: bool = False, **developing) -> Cam
     led = load_flash("led_matrix_200klx") if flash else None
     if not flash:
         developing.setdefault("white_balance", "daylight")
-    return Camera(
-        load_lens("lensagon_cmfa0420nd"), sensor, np.eye(4), 50e-6, led, developing=Developing(**developing)
-    )
+    lens = load_lens("lensagon_cmfa0420nd")
+    return Camera(lens, sensor, np.eye(4), 50e-6, led, developing=Developing(**developing))
 
 
 CAMERAS = {
@@ -96,15 +95,17 @@ def slope_per_white(below, above, signal, white, step):
     return np.sqrt(np.square(above - below).mean(axis=-1)) / (2.0 * step * length)
 
 
-@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
-@pytest.mark.parametrize("level", [1e-3, 0.02, 0.3])
-def test_codes_per_light_equal_the_slope_of_developing(camera, level):
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [*((name, 0.02) for name in CAMERAS), ("flash", 1e-3), ("mono", 0.3)],
+)
+def test_codes_per_light_equal_the_slope_of_developing(name, level):
+    camera = CAMERAS[name]
     signal, white = random_light(camera, level)
     codes = code_response(signal, white, camera)
     ends = [linear_values(signal * np.float32(factor), camera) for factor in (0.99, 1.01)]
-    slope = slope_per_white(
-        *(unrounded_codes(end, camera.developing.tone) for end in ends), signal, white, 0.01
-    )
+    below, above = (unrounded_codes(end, camera.developing.tone) for end in ends)
+    slope = slope_per_white(below, above, signal, white, 0.01)
     inside = ((ends[0] > 0.0) & (ends[1] < 1.0)).all(axis=-1)
     assert inside.mean() > 0.6
     # At the end of its linear part the slope of the tone curve has a step of 2 %.
@@ -138,16 +139,16 @@ NO_IMAGE = small_camera(flash=False, white_balance="flash")
 
 
 @pytest.mark.parametrize("camera", [*CAMERAS.values(), NO_IMAGE], ids=[*CAMERAS, "no image"])
-@pytest.mark.parametrize("level", [0.0, 0.1])
-def test_codes_are_finite(camera, level):
+def test_codes_are_finite(camera):
     signal, white = random_light(camera, 1.0)
-    codes = code_response(signal * np.float32(level), white, camera)
-    assert np.isfinite(codes.per_white).all()
-    assert np.isfinite(codes.noise).all()
-    assert (codes.noise > 0.0).all()  # read noise
+    for level in (0.0, 0.1):
+        codes = code_response(signal * np.float32(level), white, camera)
+        assert np.isfinite(codes.per_white).all()
+        assert np.isfinite(codes.noise).all()
+        assert (codes.noise > 0.0).all()  # read noise
 
 
-def image_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np.ndarray:
+def image_deviation(signal: np.ndarray, camera: Camera, frames: int = 100) -> np.ndarray:
     """`(h, w)` standard deviation of developed images, root mean square over colours, without rounding."""
     electrons, squares, sums = expected_electrons(signal, camera), 0.0, 0.0
     for seed in range(frames):
@@ -158,10 +159,11 @@ def image_deviation(signal: np.ndarray, camera: Camera, frames: int = 300) -> np
     return np.sqrt(variance.mean(axis=-1))
 
 
-@pytest.mark.parametrize("name", ["flash", "daylight", "linear", "no matrix", "mono", "mono, linear"])
 # Light far above the noise, where the formula's slope holds over the noise: the camera's red is balanced by a
 # gain above 2.
-@pytest.mark.parametrize("level", [0.1, 0.3])
+@pytest.mark.parametrize(
+    ("name", "level"), [("flash", 0.1), ("daylight", 0.3), ("linear", 0.3), ("mono, linear", 0.1)]
+)
 def test_noise_equals_the_deviation_of_developed_images(name, level):
     camera = CAMERAS[name]
     signal, white = random_light(camera, level, saturation=0.1)
@@ -171,9 +173,9 @@ def test_noise_equals_the_deviation_of_developed_images(name, level):
     linear = linear_values(signal, camera)
     unclipped = (linear.max(axis=-1) < 0.9) & (linear.min(axis=-1) > 0.0)
     assert unclipped.mean() > 0.6
-    # 300 frames give a deviation to 4 %, and its mean over the pixels far better; the rest is curvature.
+    # 100 frames give a deviation to 7 %, and its mean over 450 pixels to 0.4 %; the rest is curvature.
     assert noise[unclipped].mean() == pytest.approx(deviation[unclipped].mean(), rel=0.03)
-    assert noise[unclipped] == pytest.approx(deviation[unclipped], rel=0.25)
+    assert noise[unclipped] == pytest.approx(deviation[unclipped], rel=0.32)  # four and a half deviations
 
 
 def test_noise_in_the_dark_has_the_right_magnitude():
@@ -201,15 +203,14 @@ def distribute(variance: np.ndarray, allowed: float, most: int) -> np.ndarray:
     return np.clip(np.power(scale * variance.astype(float), 0.4), 1.0, most)
 
 
-@pytest.mark.parametrize("fraction", [0.5, 0.05, 0.005])
+@pytest.mark.parametrize("fraction", [0.5, 0.005])
 def test_mean_variance_equals_the_allowed_one(fraction):
     variance = random_variances(1)
     allowed = fraction * mean_variance(variance, np.ones(variance.size))
     assert mean_variance(variance, distribute(variance, allowed, 1 << 20)) == pytest.approx(allowed, rel=1e-4)
 
 
-@pytest.mark.parametrize("fraction", [0.3, 0.03])
-@pytest.mark.parametrize("most", [64, 1 << 20])
+@pytest.mark.parametrize(("fraction", "most"), [(0.3, 64), (0.03, 1 << 20)])
 def test_no_other_distribution_of_as_many_samples_is_better(fraction, most):
     variance, rng = random_variances(2), np.random.default_rng(3)
     allowed = max(
@@ -220,9 +221,7 @@ def test_no_other_distribution_of_as_many_samples_is_better(fraction, most):
     least = mean_variance(variance, best)
     # Uniform, by deviation, by variance, and random ones near the best; all clipped and scaled to as many.
     others = [np.ones(variance.size), variance**0.5, variance, variance**0.25, variance**0.3]
-    others += [
-        best * np.exp(size * rng.normal(size=best.size)) for size in (0.01, 0.1, 0.5) for _ in range(5)
-    ]
+    others += [best * np.exp(size * rng.normal(size=best.size)) for size in (0.01, 0.1, 0.5)]
     for other in others:
         samples = scale_to_total(other.astype(float), best.sum(), most)
         assert mean_variance(variance, samples) > least * (1.0 - 1e-9)
@@ -250,7 +249,7 @@ def test_samples_are_powers_of_two_that_meet_the_target():
         assert samples.sum() == pytest.approx(smooth.sum(), rel=0.1)
 
 
-@pytest.mark.parametrize("size", [(512, 512), (1024, 1280), (600, 800), (480, 640)])
+@pytest.mark.parametrize("size", [(1024, 1280), (480, 640)])
 def test_subset_of_pixels_does_not_follow_the_columns(size):
     # For large images the scale is computed from a subset of pixels, which must not miss stripes.
     variance = np.full(size, 1e-3, np.float32)
@@ -269,11 +268,7 @@ def test_unreachable_targets_give_the_minimum_and_the_maximum(fraction, expected
     assert (samples[variance > 0.0] == expected).mean() > 0.95
     assert samples.min() >= 1
     assert samples.max() <= 64
-
-
-def test_no_variance_needs_one_sample():
-    sampler = AdaptiveSampler(CAMERAS["flash"], 0.1, 64, denoised=True)
-    for allowed in (1.0, 0.0):
+    for allowed in (1.0, 0.0):  # no variance needs one sample
         assert (sampler._distribute(np.zeros(100, np.float32), allowed) == 1).all()
 
 
@@ -322,7 +317,7 @@ def test_reported_error_follows_from_the_variances(denoised):
 
 
 # Larger targets allow so much error that four samples are almost enough at the edge too.
-@pytest.mark.parametrize("target", [0.1, 0.2, 0.3])
+@pytest.mark.parametrize("target", [0.1, 0.3])
 def test_required_samples_meet_the_target(target):
     camera = CAMERAS["flash"]
     direct = edge_variance(camera, 0.1)
@@ -361,45 +356,31 @@ def test_noisy_indirect_light_does_not_multiply_direct_samples():
     assert (sampler.required(accumulator) <= expected).all()
 
 
-def test_black_frames_need_no_more_samples():
+def test_black_and_overexposed_frames_stay_within_the_maximum():
     camera = CAMERAS["flash"]
-    direct = edge_variance(camera, 0.0)
-    accumulator = accumulated(camera, 0.0, direct, direct)
     sampler = AdaptiveSampler(camera, 0.14, 64, denoised=True)
-    assert np.array_equal(sampler.required(accumulator), accumulator.samples)
-    reported = sampler.metadata(accumulator.light())
-    assert reported["error_codes"] == 0.0
-    assert reported["error_to_noise"] == 0.0
-    assert reported["below_half_of_noise"] == 1.0
+    black, white = (
+        accumulated(camera, level, edge_variance(camera, level), edge_variance(camera, level))
+        for level in (0.0, 50.0)
+    )
+    assert np.array_equal(sampler.required(black), black.samples)
+    reported = sampler.metadata(black.light())
+    names = "error_codes", "error_to_noise", "below_half_of_noise"
+    assert [reported[name] for name in names] == [0.0, 0.0, 1.0]
+    assert sampler.required(white).max() <= 64
+    assert all(np.isfinite(value) for value in sampler.metadata(white.light()).values())
 
 
-def test_overexposed_frames_stay_within_the_maximum():
-    camera = CAMERAS["flash"]
-    direct = edge_variance(camera, 50.0)
-    accumulator = accumulated(camera, 50.0, direct, direct)
-    sampler = AdaptiveSampler(camera, 0.14, 64, denoised=True)
-    assert sampler.required(accumulator).max() <= 64
-    reported = sampler.metadata(accumulator.light())
-    assert all(np.isfinite(value) for value in reported.values())
-
-
-def test_no_target_requires_no_more_samples():
+def test_no_target_and_a_minimum_above_the_maximum_require_no_more_samples():
     camera = CAMERAS["flash"]
     direct = edge_variance(camera, 0.1)
-    accumulator = accumulated(camera, 0.1, direct, direct)
+    accumulator = accumulated(camera, 0.1, direct, direct, n=128)
     assert AdaptiveSampler(camera, None, 64, denoised=True).required(accumulator) is accumulator.samples
-
-
-def test_pixels_above_the_maximum_keep_their_samples():
-    # With a minimum above the maximum, no pixel may lose samples.
-    camera = CAMERAS["flash"]
-    accumulator = accumulated(camera, 0.1, edge_variance(camera, 0.1), edge_variance(camera, 0.1), n=128)
     required = AdaptiveSampler(camera, 0.01, 64, denoised=True).required(accumulator)
     assert np.array_equal(required, accumulator.samples)
 
 
-@pytest.mark.parametrize("indirect_samples", [2, 8])
-@pytest.mark.parametrize("ratio", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize(("indirect_samples", "ratio"), [(2, 0.01), (8, 1.0), (2, 100.0)])
 def test_balanced_share_has_the_smallest_product_of_time_and_variance(indirect_samples, ratio):
     samples = np.geomspace(1e-2, 1e5, 200_001)
     direct = ratio * samples**-1.5  # over the variance of indirect light

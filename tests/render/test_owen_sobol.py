@@ -6,6 +6,8 @@ the seeds are fixed.
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -37,8 +39,7 @@ def draw_coordinates(kinds: str, pixels: np.ndarray, indices: np.ndarray, seed: 
     return np.concatenate([v[None] if v.ndim == 2 else np.moveaxis(v, -1, 0) for v in drawn])
 
 
-@pytest.mark.parametrize("block", [0, 5])
-@pytest.mark.parametrize("m", range(9))
+@pytest.mark.parametrize(("m", "block"), [(0, 5), (1, 0), (2, 5), (4, 0), (5, 5), (8, 0)])
 def test_each_block_of_samples_is_a_net(m, block):
     # One point in each box of area 2^-m, whatever its shape (Niederreiter 1992, definition 4.1: t = 0).
     n = 2**m
@@ -63,15 +64,12 @@ def test_additional_samples_fill_the_gaps():
 def test_numbers_are_in_the_unit_interval():
     # Also at the limits of 32-bit indices, where rounding up to 1 would show.
     limits = np.array([0, 1, 2**24, 2**31 - 1, 2**31, 2**32 - 1], np.uint64)
-    for seed in (0, 1, 2**32 - 1):
+    for seed in (0, 2**32 - 1):
         for pixels, indices in ((np.arange(2**14), np.arange(8)), (limits, limits)):
             values = draw_coordinates("12", pixels, indices, seed)
             assert values.shape == (3, len(pixels), len(indices))
             assert values.min() >= 0.0
             assert values.max() < 1.0
-    many = draw_coordinates("12", np.arange(2**14), np.arange(8))
-    assert many.min() < 1e-4
-    assert many.max() > 1.0 - 1e-4
 
 
 def test_numbers_depend_on_pixel_index_and_seed_alone():
@@ -91,16 +89,16 @@ def assert_independent(a: np.ndarray, b: np.ndarray, tests: int) -> None:
     assert 2 * stats.norm.sf(abs(z)) > SIGNIFICANCE / (2 * tests), z
 
 
-@pytest.mark.parametrize("index", [0, 1, 3, 6])
+@pytest.mark.parametrize("index", [0, 3])
 def test_dimensions_are_independent(index):
     # Over pixels, for one sample of each.
     values = draw_coordinates("2121", np.arange(2**15), np.array([index]), 3)[..., 0]
-    pairs = [(i, j) for i in range(len(values)) for j in range(i)]
-    for i, j in pairs:
-        assert_independent(values[i], values[j], len(pairs) * 4)
+    pairs = list(combinations(values, 2))
+    for first, second in pairs:
+        assert_independent(first, second, len(pairs) * 2)
 
 
-@pytest.mark.parametrize("step", [1, 2, 64, 800])
+@pytest.mark.parametrize("step", [1, 64, 800])
 def test_neighbouring_pixels_are_independent(step):
     # Every pixel in one pair only, so that the pairs are independent.
     pixels = np.arange(40 * 800).reshape(-1, 2, step)
@@ -110,58 +108,55 @@ def test_neighbouring_pixels_are_independent(step):
 
 
 def test_seeds_are_independent():
-    drawn = [
-        draw_coordinates("21", np.arange(2**15), np.array([0]), seed)[..., 0] for seed in (0, 1, 2, 2**31)
-    ]
-    for i in range(4):
-        for j in range(i):
-            for k in range(3):
-                assert_independent(drawn[i][k], drawn[j][k], 18)
+    pixels, seeds = np.arange(2**15), (0, 1, 2**31)
+    drawn = [draw_coordinates("21", pixels, np.array([0]), seed)[..., 0] for seed in seeds]
+    for first, second in combinations(drawn, 2):
+        for k in range(3):
+            assert_independent(first[k], second[k], 9)
 
 
-@pytest.mark.parametrize("n", [2, 4, 8, 16])
+@pytest.mark.parametrize("n", [4, 16])
 def test_dimensions_are_independent_within_a_pixel(n):
     # Padded dimensions have the same stratification and must not have the same order of strata: over the
     # samples of a pixel, products of centred numbers have the mean 0.
     centred = draw_coordinates("2211", np.arange(2**13), np.arange(n), 5) - 0.5
-    pairs = [(i, j) for i in range(len(centred)) for j in range(i)]
-    for i, j in pairs:
-        means = (centred[i] * centred[j]).mean(axis=1)
+    pairs = list(combinations(centred, 2))
+    for first, second in pairs:
+        means = (first * second).mean(axis=1)
         z = means.mean() / (means.std(ddof=1) / np.sqrt(means.size))
-        assert 2 * stats.norm.sf(abs(z)) > SIGNIFICANCE / (4 * len(pairs)), (i, j, z)
+        assert 2 * stats.norm.sf(abs(z)) > SIGNIFICANCE / (2 * len(pairs)), z
 
 
-@pytest.mark.parametrize("index", [0, 1, 5, 12])
+@pytest.mark.parametrize("index", [0, 5])
 def test_each_number_is_uniform(index):
     drawn = draw_coordinates("212", np.arange(2**15), np.array([index]), 6)[..., 0]
     for values in drawn:
-        assert stats.kstest(values, "uniform").pvalue > SIGNIFICANCE / (4 * len(drawn))
+        assert stats.kstest(values, "uniform").pvalue > SIGNIFICANCE / (2 * len(drawn))
 
 
 COUNTS = np.array([4, 16, 64, 256])
 SMOOTH = (lambda x, y: np.exp(x) * np.sin(3.0 * y), (np.e - 1.0) * (1.0 - np.cos(3.0)) / 3.0)
 EDGE = (lambda x, y: (y < 0.3 + 0.55 * x).astype(float), 0.3 + 0.55 / 2)
-DISC = (lambda x, y: (np.hypot(x - 0.5, y - 0.5) < 0.4).astype(float), np.pi * 0.16)
 
 
-def rms_errors(f, truth, seed=7) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square errors over 2000 pixels for each of `COUNTS`, and those of independent samples."""
-    (points,) = draw("2", np.arange(2000), np.arange(COUNTS[-1]), seed)
-    values = f(points[..., 0], points[..., 1])
+def rms_errors(values: np.ndarray, truth: float) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square errors over pixels for each of `COUNTS`, and those of independent samples."""
     means = np.array([values[:, :n].mean(axis=1) for n in COUNTS])
-    z = (means.mean(axis=1) - truth) / (means.std(axis=1, ddof=1) / np.sqrt(2000))
+    z = (means.mean(axis=1) - truth) / (means.std(axis=1, ddof=1) / np.sqrt(len(values)))
     assert (2 * stats.norm.sf(abs(z)) > SIGNIFICANCE / 12).all(), z
     return np.sqrt(np.square(means - truth).mean(axis=1)), values.std() / np.sqrt(COUNTS)
 
 
 @pytest.mark.parametrize(
     ("function", "max_slope", "gain"),
-    [(EDGE, -0.72, 0.5), (DISC, -0.72, 0.5), (SMOOTH, -1.2, 0.1)],
-    ids=["edge", "disc", "smooth"],
+    [(EDGE, -0.72, 0.5), (SMOOTH, -1.2, 0.1)],
+    ids=["edge", "smooth"],
 )
 def test_errors_fall_at_the_theoretical_rate(function, max_slope, gain):
     # An edge cuts sqrt(n) of n cells: n^(-3/4) (Mitchell 1996). Smooth: n^(-3/2) and logs (Owen 1997).
-    errors, independent = rms_errors(*function)
+    f, truth = function
+    (points,) = draw("2", np.arange(2000), np.arange(COUNTS[-1]), 7)
+    errors, independent = rms_errors(f(points[..., 0], points[..., 1]), truth)
     slope = np.polyfit(np.log(COUNTS), np.log(errors), 1)[0]
     assert slope < max_slope, slope
     assert (errors < independent).all()
@@ -182,9 +177,6 @@ def test_product_over_four_dimensions_has_the_right_mean_and_converges():
     # Of two padded pairs, the interaction converges as independent samples do, the rest faster.
     first, second = draw("22", np.arange(2000), np.arange(COUNTS[-1]), 9)
     values = np.prod(np.concatenate([first, second], axis=-1) + 0.5, axis=-1)  # mean 1
-    means = np.array([values[:, :n].mean(axis=1) for n in COUNTS])
-    z = (means.mean(axis=1) - 1.0) / (means.std(axis=1, ddof=1) / np.sqrt(2000))
-    assert (2 * stats.norm.sf(abs(z)) > SIGNIFICANCE / 4).all(), z
-    errors, independent = np.sqrt(np.square(means - 1.0).mean(axis=1)), values.std() / np.sqrt(COUNTS)
+    errors, independent = rms_errors(values, 1.0)
     assert np.polyfit(np.log(COUNTS), np.log(errors), 1)[0] < -0.5
     assert (errors < 0.6 * independent).all(), errors / independent

@@ -46,16 +46,14 @@ def bilinear_slopes(height: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[n
     return slope_u, slope_v
 
 
-@pytest.mark.parametrize("shape", [(8, 16), (16, 8), (7, 10), (5, 1), (1, 9), (1, 1)])
+@pytest.mark.parametrize("shape", [(8, 16), (7, 10), (5, 1), (1, 1)])
 def test_each_level_has_the_moments_of_the_slopes(shape):
     # Against the mean over 400 points of each texel's half; slopes are linear or constant between texels.
     surface = grey(relief_mm=random_relief((2, *shape)))
     h, w = shape
     pyramid = slope_pyramid(surface)
     steps = 20
-    u, v = np.meshgrid(
-        (np.arange(2 * w * steps) + 0.5) / (2 * w * steps), (np.arange(2 * h * steps) + 0.5) / (2 * h * steps)
-    )
+    u, v = np.meshgrid(*((np.arange(2 * n * steps) + 0.5) / (2 * n * steps) for n in (w, h)))
     slopes = [bilinear_slopes(image, u, v) for image in surface.relief_mm]
     squares = [np.mean([np.mean(pair[axis] ** 2) for pair in slopes]) for axis in (0, 1)]
     assert pyramid.squares == pytest.approx(squares, rel=2e-3, abs=1e-6)
@@ -134,9 +132,8 @@ def test_textures_of_a_stack_and_their_mirror_images():
         assert np.array_equal(seen[k], look_up(alone, uv, 0.0))
         for footprint in (0.0, 1e-4, None):
             found = look_up(surface, uv, footprint, -(k + 1.0))
-            expected = look_up(surface, mirrored, footprint, k + 1.0) * np.array(
-                [[-1.0], [1.0], [1.0], [1.0]]
-            )
+            expected = look_up(surface, mirrored, footprint, k + 1.0)
+            expected[0] *= -1.0
             assert found == pytest.approx(expected, abs=1e-4)
     assert np.abs(seen[0] - seen[1]).max() > 0.1
 
