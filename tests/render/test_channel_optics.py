@@ -8,7 +8,6 @@ from greenhouse import camera, greenhouse
 from scipy import stats
 from tracer import Tracer
 
-from pepperscene.camera import Camera
 from pepperscene.cultivar import load_cultivar
 from pepperscene.materials import Surface, greenhouse_surfaces, organ_surfaces
 from pepperscene.render.kernel.camera import spectral_response
@@ -93,17 +92,10 @@ def test_white_is_white_and_no_surface_gains_energy(shipped, weights):
     assert (colours[:2] + colours[2]).max() <= 1.0 + 1e-5
 
 
-def test_channel_without_light_is_black(shipped, weights):
-    dark = weights.copy()
-    dark[:, 2] = 0.0
-    colours = channel_colours(shipped, dark)
-    assert not colours[..., 2].any()
-    assert colours[..., :2].any()
-
-
-def test_colours_do_not_depend_on_the_scale_of_the_weights(shipped, weights):
-    small, large = (channel_colours(shipped, weights * scale) for scale in (1.0, 1e17))
-    assert small == pytest.approx(large, rel=1e-6)
+def test_channel_without_light_is_black_and_weights_may_have_any_scale(shipped, weights):
+    dark = channel_colours(shipped, 1e17 * weights * [1.0, 1.0, 0.0])
+    assert not dark[..., 2].any()
+    assert dark[..., :2] == pytest.approx(channel_colours(shipped, weights)[..., :2], rel=1e-6)
 
 
 def first_hit_light(
@@ -126,14 +118,10 @@ def first_hit_light(
     return [*light] if wavelengths is None else wavelengths.channels(light)
 
 
-def tables_of(view: Camera) -> FrameTables:
-    return Tracer(greenhouse(), view).tables()
-
-
 @pytest.mark.parametrize("flash", [True, False], ids=["flash", "daylight"])
 def test_light_by_channel_equals_light_at_wavelengths(flash, monkeypatch):
     monkeypatch.setattr(lights, "_VISIBLE_SUN", 0.0)
-    tables = tables_of(camera(columns=40, rows=30, flash=flash))
+    tables = Tracer(greenhouse(), camera(columns=40, rows=30, flash=flash)).tables()
 
     def both_ways(tables, samples):
         # The same rays and shadow rays, so that hardly any noise but that of the wavelengths is left.
@@ -145,7 +133,7 @@ def test_light_by_channel_equals_light_at_wavelengths(flash, monkeypatch):
         return [[*by_channel, *first_hit_light(tables, samples, wavelengths)]]
 
     # (runs, 6, pixels)
-    runs = np.array([sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(24)])
+    runs = np.array([sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(12)])
     by_channel, at_wavelengths = runs[:, :3], runs[:, 3:]
     assert by_channel.any()
     change = (at_wavelengths - by_channel).mean(axis=2) / by_channel.mean(axis=(0, 2))
@@ -174,7 +162,7 @@ class Replay:
 
 def test_white_of_a_frame_is_the_light_of_a_white_body():
     view = camera(columns=8, rows=6)
-    tables, grid = tables_of(view), spectral_response(view, greenhouse()).grid_nm
+    tables, grid = Tracer(greenhouse(), view).tables(), spectral_response(view, greenhouse()).grid_nm
     light = view.flash.radiant_intensity(grid) * view.flash_duty
     expected = np.trapezoid(light * view.sensor.electrons_per_joule(grid), grid, axis=-1)
     assert tables.white == pytest.approx(expected, rel=1e-9)

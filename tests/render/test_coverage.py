@@ -64,8 +64,7 @@ def test_what_is_ignored_has_no_channel_and_is_not_background():
     np.testing.assert_array_equal(fast[..., OrganClass.BACKGROUND][clear, 40], 1.0 - ignored[clear, 40])
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, 1.2])
-@pytest.mark.parametrize("width", [0.06, 0.7, 3.0])
+@pytest.mark.parametrize(("width", "angle"), [(0.06, 0.4), (0.7, 0.0), (3.0, 1.2)])
 def test_wire_covers_its_width_of_each_row_it_crosses(width, angle):
     # It crosses rows at an angle: width / cos of each row, or of each column if it is closer to horizontal.
     fast, exhaustive = fast_and_exhaustive(wire(width, angle, offset_px=0.3))
@@ -78,12 +77,6 @@ def test_wire_covers_its_width_of_each_row_it_crosses(width, angle):
     # Every crossed row is covered, even if no ray through a centre hits the wire.
     assert (covered > 0).mean() > (0.95 if width > 0.1 else 0.9)
     assert (covered < expected + 0.06).all()
-
-
-def test_coverage_keeps_a_wire_that_labels_miss():
-    frame = Renderer(assemble_scene(wire(0.1, 0.3))).render(VIEW, ["class", "coverage"])
-    assert (frame["class"] == OrganClass.WIRE).any(axis=1).mean() < 0.4
-    assert (frame["coverage"][..., OrganClass.WIRE] > 0).any(axis=1).mean() > 0.9
 
 
 def test_thin_wire_is_followed_from_where_it_is_hit():
@@ -101,9 +94,8 @@ def plants():
     return row_of_plants()
 
 
-@pytest.mark.parametrize("distorted", [False, True])
-def test_coverage_equals_the_mean_of_labels_of_smaller_pixels(plants, distorted):
-    coarse, fine = camera(distorted=distorted), camera(columns=800, rows=600, distorted=distorted)
+def test_coverage_equals_the_mean_of_labels_of_smaller_pixels(plants):
+    coarse, fine = camera(distorted=True), camera(columns=800, rows=600, distorted=True)
     fine = replace(fine, sensor=replace(fine.sensor, binning=fine.sensor.binning // 10))
     renderer = Renderer(assemble_scene(plants))
     image = renderer.render(coarse, ["coverage"])["coverage"].astype(float)
@@ -127,19 +119,14 @@ def test_coverage_equals_the_exhaustive_one(plants):
     assert 0.03 < (exhaustive.max(axis=-1) < 1).mean() < 0.5
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (7, 5)])
-def test_fractions_sum_to_one_at_any_image_size(plants, columns, rows):
-    frame = Renderer(assemble_scene(plants)).render(camera(columns=columns, rows=rows), ["coverage"])
-    fractions = frame["coverage"]
-    assert fractions.dtype == np.float16
-    assert fractions.shape == (rows, columns, len(OrganClass))
-    assert (fractions.astype(float).sum(axis=-1) == 1.0).all()
-    assert (fractions * POINTS == np.rint(fractions * POINTS)).all()
-    assert fractions.min() >= 0
-
-
-def test_everything_is_in_focus_and_an_empty_view_is_background(plants):
+def test_fractions_sum_to_one_everything_is_in_focus_and_an_empty_view_is_background(plants):
     renderer = Renderer(assemble_scene(plants))
+    for columns, rows in ((1, 1), (7, 5)):
+        fractions = renderer.render(camera(columns=columns, rows=rows), ["coverage"])["coverage"]
+        assert (fractions.dtype, fractions.shape) == (np.float16, (rows, columns, len(OrganClass)))
+        assert (fractions.astype(float).sum(axis=-1) == 1.0).all()
+        assert (fractions * POINTS == np.rint(fractions * POINTS)).all()
+        assert fractions.min() >= 0
     sharp, focused = (renderer.render(replace(camera(), focus_m=m), ["coverage"]) for m in (None, 0.2))
     np.testing.assert_array_equal(sharp["coverage"], focused["coverage"])
     away = POSES[1].copy()
@@ -171,12 +158,12 @@ def test_points_and_their_groups_are_evenly_spread():
 
 def test_points_estimate_the_area_on_one_side_of_an_edge():
     rng = np.random.default_rng(1)
-    exact = (np.stack(np.mgrid[:500, :500], -1).reshape(-1, 2) + 0.5) / 500 - 0.5
+    exact = (np.stack(np.mgrid[:200, :200], -1).reshape(-1, 2) + 0.5) / 200 - 0.5
     errors = []
-    for _ in range(300):
+    for _ in range(100):
         angle, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
         normal = np.array([np.cos(angle), np.sin(angle)])
         area, estimate = ((p @ normal < offset).mean() for p in (exact, pixel_points() - 0.5))
         errors.append(estimate - area)
-    assert np.std(errors) < 0.014
-    assert abs(np.mean(errors)) < 0.003
+    assert np.std(errors) < 0.015
+    assert abs(np.mean(errors)) < 0.005  # four standard errors

@@ -49,6 +49,7 @@ print(json.dumps(sizes))
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not HAS_GLIBC, reason="only glibc reports and returns its memory in this way")
 def test_memory_does_not_grow_with_frames_and_scenes():
     sizes = run_python(RUN)

@@ -14,12 +14,10 @@ import trimesh
 from bodies import axis_camera, body, card, sphere
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
-from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Distortion, look_at
 from pepperscene.classes import OrganClass
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import concatenate_meshes
-from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import observer as observer_module
 from pepperscene.render.viewpoints.fruit_parts import FruitPart
@@ -42,7 +40,7 @@ def ball(x=0.0, y=0.0, z=0.5, subdivisions=5):
     return sphere((x, y, z), RADIUS_M, "matt", subdivisions)
 
 
-@pytest.mark.parametrize("ratio", [0.5, 0.3, 0.1, 0.01])
+@pytest.mark.parametrize("ratio", [0.5, 0.1, 0.01])
 def test_a_free_ball_shows_its_cap(ratio):
     # Lines of sight touch a ball of radius R at a distance d on a circle; in front of it is (1 - R / d) / 2.
     distance = RADIUS_M / ratio
@@ -56,7 +54,7 @@ def test_a_free_ball_shows_its_cap(ratio):
     assert seen.visible_pixels[0] == pytest.approx(np.pi * radius_px**2, rel=0.01)
 
 
-@pytest.mark.parametrize("covered", [0.25, 0.5, 0.9])
+@pytest.mark.parametrize("covered", [0.25, 0.9])
 def test_a_plate_hides_its_share_of_a_disc(covered):
     # The share of a disc left of a line at x radii is (acos(-x) + x sqrt(1 - x^2)) / pi.
     x = np.linspace(-1, 1, 100001)
@@ -94,17 +92,13 @@ def test_what_a_body_hides_of_itself_counts_in_the_areas_alone():
 
 def test_each_point_is_as_visible_as_for_another_ray_caster():
     rng = np.random.default_rng(5)
-    blob = trimesh.util.concatenate(
-        [
-            trimesh.creation.icosphere(3, RADIUS_M).apply_translation(rng.uniform(-0.03, 0.03, 3))
-            for _ in range(3)
-        ]
-    )
+    centres = rng.uniform(-0.03, 0.03, (3, 3)) + [0.0, 0.0, 0.5]
+    balls = [trimesh.creation.icosphere(3, RADIUS_M).apply_translation(centre) for centre in centres]
+    fruit = body(trimesh.util.concatenate(balls), "matt", OrganClass.PEPPER)
     leaves = [
         card(*rng.uniform(-0.06, 0.06, 2), *rng.uniform(0.01, 0.05, 2), "matt", rng.uniform(0.1, 0.4))
         for _ in range(12)
     ]
-    fruit = body(blob, "matt", OrganClass.PEPPER).moved(np.eye(3), np.array([0.0, 0.0, 0.5]))
     tested = observer(fruit, *leaves, samples=256)
     poses = [look_at(rng.uniform(-0.2, 0.2, 3), [0, 0, 0.5], [0, 1, 0]) for _ in range(6)]
     seen = tested.observe(CAMERA, poses)
@@ -159,13 +153,15 @@ def test_a_peduncle_and_its_cut_have_fractions_of_their_own():
 
 
 def test_only_fruit_in_view_have_rows():
-    tested = observer(
-        ball(), ball(0.1), ball(5.0), fruit=[FruitPart(index) for index in range(3)], samples=64
-    )
+    parts = [FruitPart(index) for index in range(3)]
+    tested = observer(ball(), ball(0.1), ball(5.0), fruit=parts, samples=64)
     away = look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
     seen = tested.observe(CAMERA, [AHEAD, away, AHEAD])
     assert seen.pose_index.tolist() == [0, 0, 2, 2]
     assert seen.fruit_index.tolist() == [0, 1, 0, 1]
+    # The surface seen of the first ball is that of its cap; a third pose sees less of it from near.
+    near = look_at([0, 0, 0.4], [0, 0, 0.5], [0, 1, 0])
+    assert tested.observe(CAMERA, [near, AHEAD, away]).best_poses().tolist() == [1, 1, -1]
     assert len(tested.observe(CAMERA, [away])) == 0
     assert len(tested.observe(CAMERA, [away], occluders=True).occluders.row) == 0
 
@@ -191,76 +187,17 @@ def test_parts_and_repetitions_give_the_same_bytes(monkeypatch):
 
 def test_invalid_arguments_are_rejected():
     scene = assemble_scene(ball(subdivisions=1))
-    with pytest.raises(ArgumentError, match="samples: must be a multiple of 64 above 0, not 100"):
-        FruitObserver(scene, 100, [FIRST])
-    with pytest.raises(ArgumentError, match="skeleton"):
-        FruitObserver(scene)
-    with pytest.raises(ArgumentError, match="has no fruit"):
-        FruitObserver(scene, fruit=[])
+    for arguments, message in (
+        ((100, [FIRST]), "samples: must be a multiple of 64 above 0, not 100"),
+        ((64,), "skeleton"),
+        ((64, []), "has no fruit"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            FruitObserver(scene, *arguments)
     tested = FruitObserver(scene, 64, [FIRST])
-    with pytest.raises(ArgumentError, match="poses: must be at least one"):
-        tested.observe(CAMERA, np.zeros((0, 4, 4)))
-    with pytest.raises(ArgumentError, match="poses: pose 1 must be a rotation and a translation"):
-        tested.observe(CAMERA, [AHEAD, 2.0 * AHEAD])
-
-
-@pytest.fixture(scope="module")
-def plant():
-    """A plant alone, and cameras on the arc of the recipe."""
-    recipe = load_recipe("barth2018", {"row.plants_front": 1, "row.plants_back": 0})
-    frames = FrameRenderer(recipe, culled=False)
-    cameras = [frames.camera(recipe.plan.frame(step)) for step in (60, 125, 190)]
-    return frames.scene(recipe.plan.frame(0), traced=False), cameras
-
-
-def occluders_of(seen, row):
-    """What hides the fruit of a row: fractions by instance."""
-    rows = seen.occluders.row == row
-    instances, fractions = seen.occluders.instance[rows], seen.occluders.fraction[rows]
-    return dict(zip(instances.tolist(), fractions.tolist(), strict=True))
-
-
-def test_fractions_are_those_of_label_images(plant):
-    scene, cameras = plant
-    renderer = Renderer(scene)
-    seen = FruitObserver(scene, 4096).observe(cameras[0], [camera.pose for camera in cameras], occluders=True)
-    number = {
-        (pose, instance): row
-        for row, (pose, instance) in enumerate(
-            zip(seen.pose_index.tolist(), seen.fruit[seen.fruit_index].tolist(), strict=True)
-        )
-    }
-    errors, listed = [], 0
-    for pose, camera in enumerate(cameras):
-        frame = renderer.render(camera, ["harvest", "instance"])
-        for fruit in frame["harvest"]["fruit"]:
-            listed += 1
-            row = number[pose, fruit["instance"] - 1]
-            errors.append(seen.visible_fraction[row] - fruit["visible_fraction"])
-            pixels = (seen.visible_pixels[row] - fruit["visible_pixels"]) / fruit["amodal_pixels"]
-            assert abs(pixels) < 0.02
-            # Each organ hides as much of it.
-            whole = fruit["amodal_pixels"]
-            hidden = {one["instance"] - 1: one["pixels"] / whole for one in fruit["occluders"]}
-            found = occluders_of(seen, row)
-            for instance in hidden | found:
-                assert found.get(instance, 0.0) == pytest.approx(hidden.get(instance, 0.0), abs=0.02)
-            if fruit["peduncle"] is not None and not np.isnan(seen.peduncle_visible_fraction[row]):
-                stalk = scene.mesh.select_instances([fruit["peduncle"]["instance"] - 1])
-                alone = Renderer(assemble_scene(stalk)).render(camera, ["instance"])["instance"].astype(bool)
-                visible = frame["instance"] == fruit["peduncle"]["instance"]
-                share = visible[alone].mean() if alone.any() else 0.0
-                assert seen.peduncle_visible_fraction[row] == pytest.approx(share, abs=0.15)
-    assert listed >= 9
-    assert np.sqrt(np.mean(np.square(errors))) < 0.006
-
-
-def test_the_best_pose_is_that_of_label_images(plant):
-    scene, cameras = plant
-    seen = FruitObserver(scene, 1024).observe(cameras[0], [camera.pose for camera in cameras])
-    best = seen.best_poses()
-    assert (best >= 0).sum() >= 3
-    for fruit in np.flatnonzero(best >= 0):
-        rows = seen.fruit_index == fruit
-        of_best = seen.surface_fraction[rows & (seen.pose_index == best[fruit])]
-        assert of_best == seen.surface_fraction[rows].max()
+    for poses, message in (
+        (np.zeros((0, 4, 4)), "poses: must be at least one"),
+        ([AHEAD, 2.0 * AHEAD], "poses: pose 1 must be a rotation and a translation"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            tested.observe(CAMERA, poses)

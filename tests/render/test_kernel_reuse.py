@@ -62,14 +62,14 @@ def first():
     return renderer
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", range(2))
 def test_another_scene_compiles_nothing(first, number):
     render = Renderer(other_scene(number)).render
     assert count_compiled(lambda: render(camera(), DEFAULT_OUTPUTS, QUALITY, 3 + number)) == 0
 
 
 def test_another_image_size_pose_or_seed_compiles_nothing(first):
-    for view in (camera(columns=120, rows=90), camera(columns=84, rows=63), camera(0)):
+    for view in (camera(columns=84, rows=63), camera(0)):
         assert count_compiled(lambda view=view: first.render(view, DEFAULT_OUTPUTS, QUALITY, 77)) == 0
 
 
@@ -81,8 +81,7 @@ def test_kernels_outlive_their_scene(first):
     assert count_compiled(lambda: render(camera(), DEFAULT_OUTPUTS, QUALITY, 1)) == 0
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.uint32])
-@pytest.mark.parametrize("shape", [(1,), (2,), (7, 3), (1001, 4)])
+@pytest.mark.parametrize(("shape", "dtype"), [((1,), np.float32), ((2,), np.uint32), ((1001, 3), np.float32)])
 def test_device_arrays_are_flat_and_aligned(shape, dtype):
     values = np.arange(np.prod(shape)).reshape(shape)
     arrays = [device_array(values, dtype) for _ in range(8)]  # kept, so their addresses differ
@@ -91,14 +90,6 @@ def test_device_arrays_are_flat_and_aligned(shape, dtype):
         assert np.array_equal(array[: values.size], values.ravel())
         if mitsuba_modules()[0].variant().startswith("llvm"):
             assert array.ctypes.data % ALIGNMENT == 0
-
-
-def test_device_arrays_copy_slices():
-    values = np.arange(60.0).reshape(6, 10)[::2, 1::3]
-    array = device_array(values)
-    expected = values.ravel().copy()
-    values[...] = -1.0
-    assert np.array_equal(np.asarray(array), expected)
 
 
 def test_single_entries_and_device_numbers_are_not_compiled_as_constants():
@@ -110,7 +101,11 @@ def test_single_entries_and_device_numbers_are_not_compiled_as_constants():
     assert fraction.state == integer.state == dr.VarState.Evaluated
 
 
-@pytest.mark.parametrize(("values", "dtype"), [([], np.float32), ([1], np.int64)])
-def test_raises_on_empty_arrays_and_other_types(values, dtype):
-    with pytest.raises(ValueError, match="at least one float32 or uint32"):
-        device_array(values, dtype)
+def test_device_arrays_copy_slices_and_reject_other_types():
+    values = np.arange(60.0).reshape(6, 10)[::2, 1::3]
+    array, expected = device_array(values), values.ravel().copy()
+    values[...] = -1.0
+    assert np.array_equal(np.asarray(array), expected)
+    for values, dtype in (([], np.float32), ([1], np.int64)):
+        with pytest.raises(ValueError, match="at least one float32 or uint32"):
+            device_array(values, dtype)

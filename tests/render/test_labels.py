@@ -95,9 +95,8 @@ def test_positions_are_at_their_distance_along_the_pixels_ray(hits):
     np.testing.assert_allclose(position[is_hit], expected[is_hit], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("distorted", [False, True])
-def test_surface_coordinates_equal_trimeshs(mesh, kernel_scene, distorted):
-    view = camera(distorted=distorted)
+def test_surface_coordinates_equal_trimeshs(mesh, kernel_scene):
+    view = camera(distorted=True)
     hits = labels.first_hits(kernel_scene, camera_rays(view))
     uv = labels.surface_coordinates(mesh, hits, view)
     assert OUTPUTS["uv"].fits(uv)
@@ -141,7 +140,7 @@ def test_last_face_is_not_mistaken_for_the_background():
     np.testing.assert_array_equal(labels.normals(mesh, hits, view), [[[0, 0, -1], [0, 0, 0]]])
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (4, 4), (5, 9)])
+@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (5, 9)])
 def test_every_pixel_has_its_own_ray_at_any_image_size(kernel_scene, mesh, columns, rows):
     # The pinhole camera's ray from pixel to hit: the hit is in the plane of the face.
     view = camera(columns=columns, rows=rows)

@@ -40,14 +40,6 @@ def plants():
     return row_of_plants()
 
 
-@pytest.mark.parametrize("distorted", [False, True])
-def test_same_camera_has_no_flow(plants, distorted):
-    view = camera(columns=160, rows=120, distorted=distorted)
-    image = flow(plants, view, view)
-    assert (image[..., 2] == 1).all()
-    assert np.abs(image[..., :2]).max() < 1e-6
-
-
 def test_flow_of_a_wall_follows_the_pinhole_formula():
     # It is 40 cm from the camera, which moves 12 mm to the right, 5 mm down and 80 mm forward.
     image = flow(WALL, VIEW, moved_view(0.012, 0.005, 0.08))
@@ -90,7 +82,7 @@ def test_points_that_no_other_camera_sees_have_no_flow(other):
     assert not image[..., 2].any()
 
 
-@pytest.mark.parametrize(("gap", "hides"), [(100.0, True), (2.0, True), (1.1, True), (0.9, False)])
+@pytest.mark.parametrize(("gap", "hides"), [(100.0, True), (1.1, True), (0.9, False)])
 def test_occluders_hide_points_beyond_the_clearance(gap, hides):
     # Points of a wall at 40 cm, and a second wall in front of it at a multiple of the clearance.
     rng = np.random.default_rng(2)
@@ -104,16 +96,14 @@ def test_occluders_hide_points_beyond_the_clearance(gap, hides):
     assert is_unoccluded(scene, np.zeros(3), points * closer / 0.4, np.full(500, 2)).all()
 
 
-@pytest.mark.parametrize("degrees", [90.0, 5.0, 0.5, 0.1])
+@pytest.mark.parametrize("degrees", [5.0, 0.1])
 def test_surface_does_not_hide_itself_at_grazing_angles(degrees):
     # A flat sheet of many triangles, seen from the front, and by a camera that looks along it.
     angle = np.radians(degrees)
-    grid = np.linspace(-0.05, 0.05, 41)
-    x, y = np.meshgrid(grid, grid)
+    x, y = np.meshgrid(*2 * [np.linspace(-0.05, 0.05, 41)])
     points = np.stack([x, y, 0.4 + 0 * x], -1).reshape(-1, 3)
-    first = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
-    upper, lower = (np.stack([first, first + one, first + two], 1) for one, two in ((1, 42), (42, 41)))
-    faces = np.concatenate([upper, lower])
+    first = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()[:, None]
+    faces = np.concatenate([first + [0, 1, 42], first + [0, 42, 41]])
     mesh = body(trimesh.Trimesh(points, faces, process=False), "matt")
     # From the side, at the angle above the sheet, looking at its centre.
     centre = np.array([0, 0, 0.4]) + 0.4 * np.array([np.cos(angle), 0, -np.sin(angle)])
@@ -151,13 +141,3 @@ def test_flow_does_not_depend_on_position_or_size_of_the_scene(plants, shift, sc
     # Far from the origin, vertices are rounded to a millimetre.
     assert same.mean() > (0.97 if scale != 1.0 else 0.5)
     assert np.mean(expected[..., 2] == result[..., 2]) > 0.95
-
-
-def test_bytes_do_not_depend_on_earlier_frames(plants):
-    renderer = Renderer(assemble_scene(plants))
-    first = renderer.render(camera(), ["flow"], partners=Partners(flow=camera(2)))["flow"].tobytes()
-    renderer.render(camera(0), ["stereo", "coverage"], partners=Partners(stereo=camera(1)))
-    both = renderer.render(
-        camera(), ["class", "flow", "stereo"], partners=Partners(flow=camera(2), stereo=camera(2))
-    )
-    assert both["flow"].tobytes() == both["stereo"].tobytes() == first

@@ -60,19 +60,6 @@ def test_loop_follows_the_same_paths_as_without_it(monkeypatch):
     np.testing.assert_allclose(looped, without, rtol=1e-3, atol=1e-5 * without.max())
 
 
-@pytest.mark.long
-def test_stronger_roulette_keeps_the_mean():
-    scene, view = greenhouse(), camera(flash=False)
-    renderer = Renderer(scene)
-    means = []
-    for quality in (plain(12, 0), plain(2, 12)):
-        runs = [renderer.render(view, ["electrons"], quality, seed)["electrons"].mean() for seed in range(8)]
-        means.append((np.mean(runs), np.std(runs, ddof=1) / np.sqrt(8)))
-    (first, error), (second, other) = means
-    assert abs(first - second) < 4.0 * np.hypot(error, other)
-    assert np.hypot(error, other) < 0.01 * first
-
-
 def leaf_scene(sky=None):
     """A body that is dark in the visible and bright from 705 nm on, as leaves are."""
     reflectance = np.where(NM < 705.0, 0.1, 0.9)

@@ -48,7 +48,7 @@ def test_points_that_are_not_numbers_get_no_light_of_the_flash():
     np.testing.assert_array_equal(falloffs, 0.0)
 
 
-@pytest.mark.parametrize("rotation_deg", [(0, 0, 0), (25, 0, 0), (-20, 30, 45)])
+@pytest.mark.parametrize("rotation_deg", [(0, 0, 0), (-20, 30, 45)])
 def test_flash_stays_at_the_main_camera_for_all_cameras_of_a_rig(rotation_deg):
     rig = RigCamera(name="side", position_mm=(60, -20, 10), rotation_deg=rotation_deg)
     other = _with_flash_of_rig(MAIN.at_pose(MAIN.pose @ rig.extrinsics), rig.extrinsics)

@@ -6,15 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
-from bodies import axis_camera
-from greenhouse import camera, digests, greenhouse, row_of_plants, short_plant
-from scipy.ndimage import map_coordinates
+from greenhouse import camera, digests, greenhouse
 from test_albedo import NM, VIEW, leaf_path, seen
 
-from pepperscene.camera import look_at
 from pepperscene.classes import Appearance, OrganClass
-from pepperscene.geometry import mesh_plant, rectangle
+from pepperscene.geometry import rectangle
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.outputs import DEFAULT_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.render import Renderer
@@ -26,8 +22,6 @@ from pepperscene.scene import assemble_scene
 from pepperscene.spectra import leaf_spectra
 
 TRAITS = sorted(TRAIT_OUTPUTS)
-VIEWPOINTS = trimesh.creation.icosphere(subdivisions=1).vertices
-"""`(42, 3)` unit vectors, evenly over all directions."""
 
 
 @pytest.fixture(scope="module")
@@ -113,95 +107,6 @@ def test_leaf_age_is_the_ageing_of_each_blade(scene, frame):
     assert healthy.size == 0 or np.median(healthy) > 25.0
 
 
-def points_on(mesh, count=40_000):
-    """`(n, 2)` uv and `(n,)` states of points that are even over the area of a mesh."""
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    points, face = trimesh.sample.sample_surface(solid, count, seed=8)
-    weights = trimesh.triangles.points_to_barycentric(solid.triangles[face], points)
-    corners = mesh.faces[face]
-    return (
-        np.einsum("nk,nkd->nd", weights, mesh.uv[corners].astype(float)),
-        np.einsum("nk,nk->n", weights, mesh.state[corners].astype(float)),
-    )
-
-
-def mean_over_organ(mesh, surface, path, trait):
-    """Mean of a content over the area of an isolated organ: no code of the renderer."""
-    uv, state = points_on(mesh)
-    (appearance,) = mesh.appearances
-    number, mirrored = (
-        appearance.variant % len(surface.pattern),
-        appearance.variant // len(surface.pattern) % 2,
-    )
-
-    def texture(images):
-        height, width = images.shape[1:]
-        u = 1.0 - uv[:, 0] if mirrored else uv[:, 0]
-        at = np.stack([np.clip(uv[:, 1] * height - 0.5, 0, height - 1), u * width - 0.5])
-        return map_coordinates(images[number].astype(float), at, order=1, mode="grid-wrap")
-
-    state = np.clip(state + texture(surface.pattern), 0.0, 1.0)
-    if surface.ageing_order is not None:
-        aged = np.clip((appearance.ageing - texture(surface.ageing_order)) / 0.25, 0.0, 1.0)
-        state -= aged * (1.0 + state)
-    contents = path.at(state)
-    return {
-        "chlorophyll": contents["chlorophyll_ug_cm2"],
-        "carotenoids": contents["carotenoid_ug_cm2"] + contents["capsanthin_ug_cm2"],
-        "water": contents["water_cm"],
-        "ripeness": state,
-    }[trait].mean()
-
-
-def seen_mean(mesh, surfaces, trait):
-    """Mean of a map over all directions, weighted by the area across the view.
-
-    By Cauchy's theorem, a convex body or a flat sheet shows each part of its area equally, on average.
-    """
-    low, high = mesh.bounds.astype(float)
-    centre, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    view, renderer = axis_camera(64, 64), Renderer(assemble_scene(mesh, surfaces))
-    sensor = replace(view.sensor, pitch_m=view.lens.focal_length_m * 1.1 / 20.0 / 64.0 / view.sensor.binning)
-    total = area = 0.0
-    for direction in VIEWPOINTS:
-        pose = look_at(centre + 20.0 * size * direction, centre, up=np.roll(direction, 1))
-        image = renderer.render(replace(view, sensor=sensor, pose=pose), [trait])[trait].astype(float)
-        assert np.isnan(image[[0, -1]]).all()
-        total, area = total + np.nansum(image), area + np.isfinite(image).sum()
-    return total / area
-
-
-@pytest.mark.parametrize(
-    ("kind", "trait", "tolerance"),
-    [
-        ("lamina", "chlorophyll", 0.01), ("lamina", "water", 0.01),
-        ("fruit", "chlorophyll", 0.02), ("fruit", "carotenoids", 0.01), ("fruit", "ripeness", 0.01),
-    ],
-)  # fmt: skip
-def test_maps_integrate_to_the_value_of_the_organ(kaite, organs, kind, trait, tolerance):
-    mesh, surfaces = organs[kind]
-    (name,) = mesh.surfaces
-    expected = mean_over_organ(mesh, surfaces[name], kaite.pigments[name], trait)
-    assert seen_mean(mesh, surfaces, trait) == pytest.approx(expected, rel=tolerance)
-
-
-@pytest.fixture(scope="module")
-def organs(scene):
-    """A blade that has begun to age, and a fruit that turns, each alone: mesh and surfaces."""
-    plant = short_plant(12, 3)
-    half_ripe = (replace(organ, measures={**organ.measures, "ripeness": 0.5}) for organ in plant.organs)
-    plant = replace(plant, organs=tuple(half_ripe))
-    mesh = mesh_plant(plant, 0.6)
-    surfaces = {surface.name: surface for surface in scene.surfaces}
-    found = {}
-    for kind in ("lamina", "fruit"):
-        number = next(index for index, organ in enumerate(plant.organs) if organ.kind == kind)
-        alone = mesh.select_instances([number])
-        aged = tuple(replace(item, ageing=0.3) for item in alone.appearances)
-        found[kind] = replace(alone, appearances=aged), surfaces
-    return found
-
-
 @pytest.mark.parametrize("ageing", [0.0, 0.5])
 def test_prospect_with_the_values_of_a_map_is_the_albedo_of_the_leaf(ageing):
     # A flat leaf without gloss, relief and residue, whose state rises from left to right.
@@ -237,17 +142,13 @@ def test_other_outputs_keep_their_bits_and_no_light_is_traced(scene):
     assert both.metadata == alone.metadata
 
 
-def test_they_need_surfaces():
-    with pytest.raises(ValueError, match="no surfaces"):
-        Renderer(assemble_scene(row_of_plants())).render(camera(), ["ripeness"])
-
-
-def test_colours_of_a_scan_have_no_pigments(organs):
-    mesh, surfaces = organs["fruit"]
+def test_colours_of_a_scan_have_no_pigments_and_maps_need_surfaces(scene):
+    mesh = scene.mesh
     scanned = replace(mesh, colour=np.full((len(mesh.vertices), 3), 0.4, np.float32))
-    centre = scanned.bounds.mean(axis=0).astype(float)
-    view = axis_camera(16, 12).at_pose(look_at(centre - np.array([0.0, 0.4, 0.0]), centre))
-    image = Renderer(assemble_scene(scanned, surfaces)).render(view, ["class", "ripeness", "chlorophyll"])
+    surfaces = {surface.name: surface for surface in scene.surfaces}
+    image = Renderer(assemble_scene(scanned, surfaces)).render(camera(), ["class", "ripeness", "chlorophyll"])
     assert (image["class"] == OrganClass.PEPPER).any()
     assert np.isnan(image["ripeness"]).all()
     assert np.isnan(image["chlorophyll"]).all()
+    with pytest.raises(ValueError, match="no surfaces"):
+        Renderer(assemble_scene(mesh)).render(camera(), ["ripeness"])

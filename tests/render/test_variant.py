@@ -54,9 +54,7 @@ def backends(monkeypatch):
     ("name", "version"),
     [
         ("libLLVM-15.so.1", 15),
-        ("libLLVM-17.so", 17),
         ("libLLVM.so.23.1", 23),
-        ("libLLVM.so.18.1", 18),
         ("libLLVM-19.1.so", 19),
         ("libLLVM.20.dylib", 20),
         ("libLLVM-14.0.6.so", 14),
@@ -73,17 +71,11 @@ def test_version_of_a_link_is_that_of_its_target(tmp_path):
     assert llvm_version(tmp_path / "libLLVM-99.so") == 15
 
 
-def test_version_is_none_if_the_file_is_no_library(tmp_path):
-    assert llvm_version(library(tmp_path, "libLLVM.so")) is None
-    assert llvm_version(tmp_path / "missing.so") is None
-
-
-@pytest.mark.parametrize(
-    ("code", "version"), [("print(21)", 21), ("print('?')", None), ("raise OSError", None)]
-)
-def test_version_from_a_child_process_if_the_name_has_none(monkeypatch, tmp_path, code, version):
-    monkeypatch.setattr(variant, "_PRINT_LLVM_VERSION", code)
-    assert llvm_version(library(tmp_path, "compiler.so")) == version
+def test_version_from_a_child_process_if_the_name_has_none(monkeypatch, tmp_path):
+    assert llvm_version(library(tmp_path, "libLLVM.so")) is None  # an empty file
+    for code, version in (("print(21)", 21), ("print('?')", None), ("raise OSError", None)):
+        monkeypatch.setattr(variant, "_PRINT_LLVM_VERSION", code)
+        assert llvm_version(library(tmp_path, "compiler.so")) == version
 
 
 def python_with(monkeypatch, tmp_path, limit):
@@ -116,7 +108,6 @@ def test_a_version_that_could_not_be_asked_for_is_not_reported_as_old(monkeypatc
         ("raise MemoryError", "MemoryError"),
         ("import os; os._exit(3)", "exit code 3"),
         ("raise OSError('x.so: failed to map segment from shared object')", "failed to map segment"),
-        ("import no_such_module", "no_such_module"),
         ("while True: pass", "did not end within 0.5 s"),
     ],
 )
@@ -135,19 +126,13 @@ def test_a_library_that_cannot_be_examined_does_not_hide_another(monkeypatch, tm
     assert find_llvm() == usable
 
 
-def test_finds_the_newest_library_of_the_system(tmp_path):
-    for name in ("libLLVM-14.so.1", "libLLVM-9.so", "libLLVM.so.18.1", "libLLVM.so.20.1", "libLLVM-15.so.1"):
-        library(tmp_path, name)
-    assert find_llvm() == tmp_path / "libLLVM.so.20.1"
-
-
-@pytest.mark.parametrize(
-    "names", [[], ["libLLVM-14.so.1", "libLLVM-15.so.1", "libLLVM-16.so"], ["libLLVM-21.a"]]
-)
-def test_finds_nothing_rather_than_a_library_that_aborts(tmp_path, names):
-    for name in names:
+def test_finds_the_newest_library_of_the_system_and_none_that_aborts(tmp_path):
+    for name in ("libLLVM-14.so.1", "libLLVM-9.so", "libLLVM-16.so", "libLLVM-21.a"):
         library(tmp_path, name)
     assert find_llvm() is None
+    for name in ("libLLVM.so.18.1", "libLLVM.so.20.1"):
+        library(tmp_path, name)
+    assert find_llvm() == tmp_path / "libLLVM.so.20.1"
 
 
 def test_environment_precedes_the_package_which_precedes_the_system(monkeypatch, tmp_path):
@@ -175,7 +160,7 @@ def test_raises_on_a_missing_library_in_the_environment(monkeypatch, tmp_path, i
 
 @pytest.mark.parametrize(
     ("name", "version"),
-    [("libLLVM-14.so.1", "version 14"), ("libLLVM-15.so.1", "version 15"), ("x.so", "unknown version")],
+    [("libLLVM-15.so.1", "version 15"), ("x.so", "unknown version")],
 )
 def test_raises_on_an_unsuitable_library_in_the_environment(monkeypatch, tmp_path, name, version):
     monkeypatch.setenv(LLVM_VARIABLE, str(library(tmp_path, name)))
@@ -183,7 +168,7 @@ def test_raises_on_an_unsuitable_library_in_the_environment(monkeypatch, tmp_pat
         find_llvm()
 
 
-@pytest.mark.parametrize("wanted", ["scalar_rgb", "llvm_ad_rgb", "cuda_ad_spectral ", "LLVM_AD_SPECTRAL"])
+@pytest.mark.parametrize("wanted", ["scalar_rgb", "LLVM_AD_SPECTRAL"])
 def test_raises_on_an_unsupported_variant(monkeypatch, backends, wanted):
     allowed = "llvm_ad_spectral, cuda_ad_spectral"
     with pytest.raises(SetupError, match=allowed) as error:
@@ -195,9 +180,12 @@ def test_raises_on_an_unsupported_variant(monkeypatch, backends, wanted):
 
 
 def test_a_gpu_is_used_on_request_only(monkeypatch, backends, tmp_path):
-    library(tmp_path, "libLLVM.so.23.1")
+    chosen = library(tmp_path, "libLLVM.so.23.1")
+    with pytest.raises(SetupError, match="CUDA GPU"):
+        choose_variant("cuda_ad_spectral")
     backends.add("cuda")
     assert choose_variant() == "llvm_ad_spectral"
+    assert os.environ[LLVM_VARIABLE] == str(chosen)
     assert choose_variant("cuda_ad_spectral") == "cuda_ad_spectral"
     monkeypatch.setenv(VARIANT_VARIABLE, "cuda_ad_spectral")
     assert choose_variant() == "cuda_ad_spectral"
@@ -210,12 +198,6 @@ def test_a_gpu_is_used_on_request_only(monkeypatch, backends, tmp_path):
         choose_variant()
 
 
-def test_chosen_library_is_passed_to_drjit(backends, tmp_path):
-    chosen = library(tmp_path, "libLLVM.so.23.1")
-    choose_variant()
-    assert os.environ[LLVM_VARIABLE] == str(chosen)
-
-
 def test_error_without_a_library_says_what_to_install(monkeypatch, backends):
     monkeypatch.setattr(variant, "_LLVM_PACKAGE", "karellen-llvm-core")
     monkeypatch.setattr(variant, "_packaged_libraries", list)
@@ -223,12 +205,6 @@ def test_error_without_a_library_says_what_to_install(monkeypatch, backends):
         choose_variant()
     assert f"LLVM {OLDEST_LLVM} or newer" in str(error.value)
     assert LLVM_VARIABLE in str(error.value)
-
-
-def test_raises_on_a_missing_gpu_instead_of_using_the_cpu(backends, tmp_path):
-    library(tmp_path, "libLLVM.so.23.1")
-    with pytest.raises(SetupError, match="CUDA GPU"):
-        choose_variant("cuda_ad_spectral")
 
 
 def test_raises_if_drjit_already_loaded_an_older_llvm(monkeypatch, tmp_path):
