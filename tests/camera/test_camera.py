@@ -70,7 +70,7 @@ def test_principal_offset_shifts_the_image():
 
 
 def test_pixel_centres_are_between_the_corners():
-    camera = Camera(BARREL, SENSOR)
+    camera = Camera(BARREL, replace(SENSOR, columns=200, rows=150))
     corners, directions = camera.ray_slopes(), camera.pixel_directions()
     np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-12)
     centres = directions[..., :2] / directions[..., 2:]

@@ -57,9 +57,7 @@ def test_chart_colours_agree_with_colour_science():
     assert differences.max() < 5.0
 
 
-@pytest.mark.parametrize(
-    ("corners", "detect"), [(TILTED, False), (UPSIDE_DOWN, True), (ON_ITS_SIDE, True)]
-)
+@pytest.mark.parametrize(("corners", "detect"), [(TILTED, False), (UPSIDE_DOWN, True), (ON_ITS_SIDE, True)])
 def test_inverts_a_known_camera(corners, detect):
     calibration = calibrate(draw_chart(corners), None if detect else corners)
     assert calibration.after.max() < 1.0

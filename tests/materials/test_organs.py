@@ -1,5 +1,6 @@
 """Properties of every surface of the plant and of the greenhouse, from 300 to 1100 nm."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -8,9 +9,11 @@ from plant_colours import at, lab, lab_hue
 
 from pepperscene.cultivar import Cultivar, load_cultivar
 from pepperscene.cultivar.organs import DEFAULT_KINDS
-from pepperscene.materials import greenhouse_surfaces, leaf_body, organs, rind_reflectance
+from pepperscene.materials import Surface, greenhouse_surfaces, leaf_body, organs, rind_reflectance
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.materials.leaf_textures import leaf_textures
+from pepperscene.materials.surface import rind_contents
+from pepperscene.spectra import read_spectra, read_spectrum
 
 ORGANS = {"leaf", "petiole", "stem", "fruit", "peduncle", "calyx", "cut"}
 DRY = {"dry_shoot"}
@@ -165,3 +168,118 @@ def test_ribs_run_along_the_organ_and_are_gentle(surfaces, kaite):
         along = np.gradient(relief, axis=1) * relief.shape[1] / (1e3 * size["length"].mean)
         assert np.std(around) > 3 * np.std(along), name
         assert np.mean(np.abs(around) < np.tan(np.radians(30))) > 0.98, name
+
+
+RIND = {"chlorophyll", "carotenoids"}
+
+
+def test_each_surface_has_the_traits_that_it_can_have(surfaces):
+    traits = {name: set(surface.contents) for name, surface in surfaces.items() if surface.contents}
+    rinds = dict.fromkeys(("petiole", "stem", "dry_shoot", "peduncle", "calyx"), RIND)
+    assert traits == {**rinds, "leaf": RIND | {"water"}, "fruit": RIND | {"ripeness"}}
+    assert {name for name, surface in surfaces.items() if surface.is_blade} == {"leaf"}
+
+
+@pytest.mark.parametrize("name", ["leaf", "fruit", "calyx"])
+def test_rows_hold_the_contents_of_their_states(kaite, surfaces, name):
+    surface, path = surfaces[name], kaite.pigments[name]
+    assert surface.states[[0, -1]].tolist() == [-1.0 if name == "leaf" else 0.0, 1.0]
+    expected = path.at(surface.states)
+    np.testing.assert_array_equal(surface.contents["chlorophyll"], expected["chlorophyll_ug_cm2"])
+    np.testing.assert_array_equal(surface.contents["carotenoids"], expected["carotenoid_ug_cm2"])
+    if name == "leaf":
+        np.testing.assert_array_equal(surface.contents["water"], expected["water_cm"])
+        # Dry tissue has lost its water and its pigments.
+        assert surface.contents["water"][0] < 0.1 * surface.contents["water"][-1]
+    if name == "fruit":
+        np.testing.assert_array_equal(
+            surface.contents["ripeness"], np.linspace(0.0, 1.0, len(surface.states))
+        )
+
+
+def test_red_carotenoids_of_fruit_count():
+    red = load_cultivar("red_blocky").pigments["fruit"]
+    (carotenoids,) = rind_contents(red, np.array([1.0]))["carotenoids"]
+    assert carotenoids == red.end.carotenoid_ug_cm2 + red.end.capsanthin_ug_cm2
+    assert carotenoids > 10.0 * red.end.carotenoid_ug_cm2
+
+
+@pytest.mark.parametrize("amounts", [np.full(9, np.nan), np.full(9, -1.0), np.ones((9, 1))])
+def test_contents_that_do_not_fit_are_rejected(amounts):
+    reflectance, transmittance = np.zeros((9, 2, 2)), np.zeros((9, 2))
+    surface = Surface("petal", np.array([400.0, 700.0]), reflectance, transmittance)
+    assert not surface.contents
+    with pytest.raises(ValueError, match="petal: chlorophyll must be 9 finite numbers"):
+        replace(surface, contents={"chlorophyll": amounts})
+
+
+STEMS = "organ/koivisto_plant_stem_reflectance"
+
+
+@pytest.mark.parametrize("name", ["stem", "petiole", "peduncle", "calyx"])
+def test_green_organs_have_the_spectrum_of_a_measured_stem(surfaces, nm, name):
+    """Petunia is a nightshade like pepper; the measurement's scale is unknown, and noisy below 420 nm."""
+    inside = (nm >= 425) & (nm <= 700)
+    measured = read_spectrum(STEMS, "green_rod_petunia_23").at(nm)[inside]
+    modelled = at(surfaces[name].reflectance[:, 0], 0.55)[inside]
+    assert np.corrcoef(measured, modelled)[0, 1] > 0.95
+    # Correlation ignores contrast: compare them scaled to the same mean.
+    difference = modelled / modelled.mean() - measured / measured.mean()
+    assert np.sqrt(np.mean(difference**2)) < (0.12 if name in ("stem", "petiole") else 0.3)
+
+
+def test_an_old_stem_is_corky(surfaces, nm):
+    """At state 0 it has the spectrum of a dry stalk, not of a green stem: brown, no chlorophyll."""
+    inside = (nm >= 425) & (nm <= 700)
+    stems, table = read_spectra(STEMS), surfaces["stem"].reflectance[:, 0]
+    old = at(table, 0.0)
+
+    def correlation(column):
+        return np.corrcoef(stems[column].at(nm)[inside], old[inside])[0, 1]
+
+    assert correlation("light_brown_dry_rod_koiranputki_148") > 0.95
+    assert correlation("light_brown_dry_rod_koiranputki_148") > correlation("green_rod_petunia_23") + 0.2
+    assert 60 < lab_hue(old, nm) < 95
+    assert lab_hue(at(table, 0.6), nm) > 100
+
+
+def test_a_cut_has_pale_pith_in_a_green_ring_and_dries_to_brown(surfaces, nm):
+    dried, pith, ring, bark = surfaces["cut"].reflectance[:, 0]
+    assert 50 < lab_hue(dried, nm) < 85
+    lightness = [lab(row, nm)[0] for row in (dried, pith, ring, bark)]
+    assert lightness[1] > lightness[0] + 5
+    assert lightness[1] > lightness[2] + 20
+    assert lightness[2] > lightness[3]
+    assert 95 < lab_hue(pith, nm) < lab_hue(ring, nm) < 125
+    # The visible part of dried pith is the measured one.
+    file = "organ/vrhel_wood_bark_straw_reflectance"
+    straw, chip = (read_spectrum(file, c) for c in ("straw_from_broom_154", "bark_chip_iii_129"))
+    inside = (nm >= 390) & (nm <= 730)
+    assert dried[inside] == pytest.approx(0.5 * (straw.at(nm) + chip.at(nm))[inside], abs=1e-12)
+    # It continues without a step, and stays below fresh white paper.
+    infrared = dried[nm >= 720]
+    assert np.all(np.diff(infrared) > 0)
+    assert np.abs(np.diff(infrared, 2)).max() < 0.02
+    assert infrared[-1] < 0.8
+
+
+def test_cork_of_a_stem_is_lighter_than_its_fissures(surfaces, nm):
+    """Near state .125 an old stem is greyish brown; fissures lower the state and darken it."""
+    table, textures = surfaces["stem"].reflectance[:, 0], surfaces["stem"].pattern
+    cork, fissure = (lab(at(table, state), nm) for state in (0.125, 0.0))
+    assert cork[0] > fissure[0] + 7
+    assert np.hypot(*cork[1:]) < 25
+    # On a green stem the same decrease is hardly visible.
+    assert abs(lab(at(table, 0.65), nm)[0] - lab(at(table, 0.53), nm)[0]) < 3
+    # Fissures are narrow: they change a tenth to a third of the surface by more than .08.
+    assert 0.1 < np.mean(textures < -0.08) < 0.33
+
+
+def test_relief_of_a_calyx_loses_little_light(surfaces, kaite):
+    """A relief loses (1 - cos t) / 2 of the light on slopes of angle t: the plate's form is in the mesh."""
+    fruit = kaite.organs["fruit"].distributions
+    radius_mm = 1e3 * fruit["calyx_radius"].mean * fruit["diameter"].mean
+    relief = surfaces["calyx"].relief_mm
+    around = np.gradient(relief, axis=2) * relief.shape[2] / (np.pi * radius_mm)
+    along = np.gradient(relief, axis=1) * relief.shape[1] / (2 * radius_mm)
+    assert np.mean(0.5 - 0.5 / np.sqrt(1 + around**2 + along**2)) < 0.002

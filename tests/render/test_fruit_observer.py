@@ -1,4 +1,4 @@
-"""Visibility of fruit from many poses: closed forms, an independent ray caster, and label images.
+"""Visibility of points, organs and fruit: closed forms and an independent ray caster.
 
 The points on a surface are evenly distributed, so a share of it is known to a few times one over their number
 to the power of 3/4; the tolerances follow from that.
@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from bodies import axis_camera, body, card, sphere
+from bodies import axis_camera, body, card, sheet, sphere
+from greenhouse import camera, greenhouse
 from trimesh.ray.ray_triangle import RayMeshIntersector
 
-from pepperscene.camera import Distortion, look_at
+from pepperscene.camera import Distortion, Motion, look_at
 from pepperscene.classes import OrganClass
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import concatenate_meshes
@@ -22,10 +23,11 @@ from pepperscene.render import Renderer
 from pepperscene.render.viewpoints import observer as observer_module
 from pepperscene.render.viewpoints.fruit_parts import FruitPart
 from pepperscene.render.viewpoints.observer import FruitObserver
+from pepperscene.render.visibility import visible_fraction
 from pepperscene.scene import assemble_scene
 from pepperscene.truth.cut_point import FruitStalk
 
-RADIUS_M = 0.03
+RADIUS_M, DISTANCE_M = 0.03, 0.5
 FOCAL_PX = 4.16e-3 / 9e-6
 CAMERA = axis_camera(flash=False)
 AHEAD = np.eye(4)  # at the origin, along +z
@@ -54,14 +56,19 @@ def test_a_free_ball_shows_its_cap(ratio):
     assert seen.visible_pixels[0] == pytest.approx(np.pi * radius_px**2, rel=0.01)
 
 
-@pytest.mark.parametrize("covered", [0.25, 0.9])
-def test_a_plate_hides_its_share_of_a_disc(covered):
+def plate_over(covered):
+    """A plate at half the distance that hides a share of the ball's outline."""
     # The share of a disc left of a line at x radii is (acos(-x) + x sqrt(1 - x^2)) / pi.
     x = np.linspace(-1, 1, 100001)
     edge = np.interp(covered, (np.arccos(-x) + x * np.sqrt(1 - x**2)) / np.pi, x)
-    right = edge * RADIUS_M / np.sqrt(1 - (RADIUS_M / 0.5) ** 2) / 2
-    plate = card(right - 0.1, 0.0, 0.2, 0.2, "matt", 0.25)
-    seen = observer(ball(), plate).observe(CAMERA, AHEAD, occluders=True)
+    # It is as wide as it looks on a plane through the ball twice as far away.
+    right = edge * RADIUS_M / np.sqrt(1 - (RADIUS_M / DISTANCE_M) ** 2) / 2
+    return card(right - 0.1, 0.0, 0.2, 0.2, "matt", DISTANCE_M / 2)
+
+
+@pytest.mark.parametrize("covered", [0.25, 0.9])
+def test_a_plate_hides_its_share_of_a_disc(covered):
+    seen = observer(ball(), plate_over(covered)).observe(CAMERA, AHEAD, occluders=True)
     assert seen.visible_fraction[0] == pytest.approx(1.0 - covered, abs=0.005)
     assert seen.occluders.instance.tolist() == [1]
     assert seen.occluders.fraction[0] == pytest.approx(covered, abs=0.005)
@@ -92,7 +99,7 @@ def test_what_a_body_hides_of_itself_counts_in_the_areas_alone():
 
 def test_each_point_is_as_visible_as_for_another_ray_caster():
     rng = np.random.default_rng(5)
-    centres = rng.uniform(-0.03, 0.03, (3, 3)) + [0.0, 0.0, 0.5]
+    centres = np.array([0.0, 0.0, 0.5]) + rng.uniform(-0.03, 0.03, (3, 3))
     balls = [trimesh.creation.icosphere(3, RADIUS_M).apply_translation(centre) for centre in centres]
     fruit = body(trimesh.util.concatenate(balls), "matt", OrganClass.PEPPER)
     leaves = [
@@ -201,3 +208,101 @@ def test_invalid_arguments_are_rejected():
     ):
         with pytest.raises(ArgumentError, match=message):
             tested.observe(CAMERA, poses)
+
+
+# --- points of any body -------------------------------------------------------------------------------------
+
+VIEW = axis_camera(64, 64, flash=False)
+
+
+def ball_points(count=20000, centre=(0.0, 0.0, DISTANCE_M)):
+    """Even points on a sphere of `RADIUS_M`, and their normals."""
+    number = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * number / count, number * np.pi * (3.0 - np.sqrt(5.0))
+    normals = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
+    return np.array(centre) + RADIUS_M * normals, normals
+
+
+def renderer(*meshes):
+    return Renderer(assemble_scene(concatenate_meshes(meshes)))
+
+
+@pytest.fixture(scope="module")
+def inner():
+    """A ball just below the points of `ball_points`."""
+    return sphere((0.0, 0.0, DISTANCE_M), RADIUS_M * (1.0 - 1e-4), "matt")
+
+
+def test_the_near_side_of_a_ball_alone_is_visible(inner):
+    points, normals = ball_points()
+    visible = renderer(inner).visible_points(VIEW, points, normals)
+    np.testing.assert_array_equal(visible, (normals * -points).sum(axis=1) > 0.0)
+    # A cap ends where lines of sight touch the ball, slightly before its half.
+    assert visible.mean() == pytest.approx(0.5 * (1.0 - RADIUS_M / DISTANCE_M), abs=1e-3)
+    assert visible_fraction(renderer(inner).visible_points, VIEW, points, normals) == 1.0
+
+
+@pytest.mark.parametrize("covered", [0.0, 0.25, 0.9])
+def test_a_card_hides_its_share_of_the_outline(inner, covered):
+    points, normals = ball_points()
+    fraction = visible_fraction(renderer(inner, plate_over(covered)).visible_points, VIEW, points, normals)
+    assert fraction == pytest.approx(1.0 - covered, abs=0.005)
+
+
+def test_what_is_outside_the_image_counts_as_hidden():
+    # The image's right border goes through the ball's centre.
+    centre = (32 / FOCAL_PX * DISTANCE_M, 0.0, DISTANCE_M)
+    points, normals = ball_points(centre=centre)
+    rendered = renderer(sphere(centre, RADIUS_M * (1.0 - 1e-4), "matt"))
+    assert visible_fraction(rendered.visible_points, VIEW, points, normals) == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_motion_of_the_camera_has_no_effect(inner):
+    # Points around the ball, of which many are outside the image or hidden.
+    points = np.random.default_rng(1).uniform((-0.05, -0.05, 0.4), (0.05, 0.05, 0.6), (2000, 3))
+    sensor = replace(VIEW.sensor, line_time_s=1e-3)
+    moving = replace(VIEW, sensor=sensor, motion=Motion((2.0, 0.0, 0.0), (0.0, 3.0, 0.0)))
+    expected = renderer(inner).visible_points(VIEW, points)
+    assert 0.2 < expected.mean() < 0.8
+    np.testing.assert_array_equal(renderer(inner).visible_points(moving, points), expected)
+
+
+def test_points_of_a_blade_are_visible_from_both_sides():
+    leaf = renderer(sheet(0.2, 0.2, 0.0, "matt"))
+    points = np.column_stack([*np.random.default_rng(0).uniform(-0.01, 0.01, (2, 200)), np.zeros(200)])
+    normals = np.tile([0.0, 0.0, -1.0], (200, 1))
+    for z in (-DISTANCE_M, DISTANCE_M):
+        view = VIEW.at_pose(look_at([0, 0, z], [0, 0, 0], [0, 1, 0]))
+        assert visible_fraction(leaf.visible_points, view, points, normals, closed=False) == 1.0
+        assert visible_fraction(leaf.visible_points, view, points, normals) == (z < 0)
+
+
+def test_a_point_in_space_is_visible_unless_something_is_in_front():
+    wall = renderer(sheet(2.0, 2.0, 0.4, "matt"))
+    points = [[0.0, 0.0, z] for z in (0.1, 0.39, 0.4, 0.41, 5.0)]
+    np.testing.assert_array_equal(wall.visible_points(VIEW, points), [True, True, True, False, False])
+    assert visible_fraction(wall.visible_points, VIEW, points[:1]) == 1.0
+    assert visible_fraction(wall.visible_points, VIEW, np.empty((0, 3))) == 0.0
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_the_size_of_the_world_does_not_matter(inner, scale):
+    scaled = replace(inner, vertices=inner.vertices * np.float32(scale))
+    points, normals = ball_points(1000)
+    visible = renderer(scaled).visible_points(VIEW, scale * points, normals)
+    np.testing.assert_array_equal(visible, renderer(inner).visible_points(VIEW, points, normals))
+
+
+def test_points_behind_pixels_are_visible_before_and_after_light_was_traced():
+    # Every point of the output `position` is visible by definition.
+    rendered, view = Renderer(greenhouse()), camera()
+    frame = rendered.render(view, ["position", "class"])
+    points = frame["position"][frame["class"] > 0].astype(float)
+    before = rendered.visible_points(view, points)
+    rendered.render(view, ["colour"], "draft")
+    np.testing.assert_array_equal(rendered.visible_points(view, points), before)
+    assert len(points) > 500
+    assert before.all()
+    # The same points pushed into the surface are hidden.
+    beyond = view.pose[:3, 3] + 1.01 * (points - view.pose[:3, 3])
+    assert rendered.visible_points(view, beyond).mean() < 0.02

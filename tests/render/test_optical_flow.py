@@ -1,4 +1,4 @@
-"""Optical flow in scenes where it is known by hand."""
+"""Optical flow in scenes where it is known by hand; coverage against closed forms and exhaustive rays."""
 
 from __future__ import annotations
 
@@ -7,19 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from bodies import axis_camera, body, sheet, sphere
-from greenhouse import POSES, camera, row_of_plants
-from test_coverage import FOCAL_PX, VIEW
+from bodies import axis_camera, body, card, sheet, sphere
+from greenhouse import POSES, camera, partners, row_of_plants
+from test_kernel_reuse import count_compiled
 
 from pepperscene.camera import Camera, Partners
-from pepperscene.classes import OrganClass
+from pepperscene.classes import Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.outputs import OUTPUTS
 from pepperscene.render import Renderer
+from pepperscene.render.aov import coverage
+from pepperscene.render.aov.coverage import POINTS, SceneCoverage, pixel_points
 from pepperscene.render.aov.flow import CLEARANCE, is_unoccluded
+from pepperscene.render.arrays import local_coordinates
+from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import truth_scene
 from pepperscene.scene import assemble_scene
 
+FOCAL_PX = 4.16e-3 / 9e-6  # of `axis_camera`: focal length over pixel pitch
+VIEW = axis_camera(64, 64, flash=False)
 WALL = sheet(2.0, 2.0, 0.4, "matt")
 
 
@@ -103,7 +109,7 @@ def test_surface_does_not_hide_itself_at_grazing_angles(degrees):
     x, y = np.meshgrid(*2 * [np.linspace(-0.05, 0.05, 41)])
     points = np.stack([x, y, 0.4 + 0 * x], -1).reshape(-1, 3)
     first = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()[:, None]
-    faces = np.concatenate([first + [0, 1, 42], first + [0, 42, 41]])
+    faces = np.concatenate([first + np.array(corners) for corners in ([0, 1, 42], [0, 42, 41])])
     mesh = body(trimesh.Trimesh(points, faces, process=False), "matt")
     # From the side, at the angle above the sheet, looking at its centre.
     centre = np.array([0, 0, 0.4]) + 0.4 * np.array([np.cos(angle), 0, -np.sin(angle)])
@@ -141,3 +147,141 @@ def test_flow_does_not_depend_on_position_or_size_of_the_scene(plants, shift, sc
     # Far from the origin, vertices are rounded to a millimetre.
     assert same.mean() > (0.97 if scale != 1.0 else 0.5)
     assert np.mean(expected[..., 2] == result[..., 2]) > 0.95
+
+
+def wire(width_px: float, angle: float, offset_px: float = 0.0) -> Mesh:
+    """A straight wire across the optical axis at 50 cm, at an angle to the vertical."""
+    rod = trimesh.creation.cylinder(radius=0.5 * width_px * 0.5 / FOCAL_PX, height=2.0, sections=64)
+    rod.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    rod.apply_translation([offset_px * 0.5 / FOCAL_PX, 0, 0])
+    rod.apply_transform(trimesh.transformations.rotation_matrix(angle, [0, 0, 1]))
+    rod.apply_translation([0, 0, 0.5])
+    return body(rod, "matt", OrganClass.WIRE)
+
+
+def fast_and_exhaustive(mesh: Mesh, view: Camera = VIEW) -> tuple[np.ndarray, np.ndarray]:
+    """The coverage image, and the one with all rays in every pixel."""
+    scene, rays = truth_scene(assemble_scene(mesh)), camera_rays(view, local_coordinates(mesh))
+    fast = SceneCoverage(mesh).image(scene, rays).astype(float)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(coverage, "_is_mixed", lambda classes: np.ones(classes.shape, bool))
+        return fast, SceneCoverage(mesh).image(scene, rays).astype(float)
+
+
+def test_what_is_ignored_has_no_channel_and_is_not_background():
+    # A wire in front of a wall that is ignored, whose edge is between two rays of column 40.
+    edge = (40.3 - 32.0) / FOCAL_PX * 0.6
+    wall = card(edge - 1.0, 0.0, 2.0, 4.0, "matt", 0.6)
+    wall = replace(wall, instances=(Instance(OrganClass.BACKGROUND, "far_row", ignored=True),))
+    fast, exhaustive = fast_and_exhaustive(concatenate_meshes([wire(3.0, 0.4), wall]))
+    np.testing.assert_array_equal(fast, exhaustive)
+    only_wire, _ = fast_and_exhaustive(wire(3.0, 0.4))
+    np.testing.assert_array_equal(fast[..., OrganClass.WIRE], only_wire[..., OrganClass.WIRE])
+    ignored = 1.0 - fast.sum(axis=-1)
+    # The wire is only in columns 16 to 47; in front of it, the wall covers the first 40.3 columns.
+    assert (ignored[:, :16] == 1.0).all()
+    assert (ignored[:, 48:] == 0.0).all()
+    clear = only_wire[..., OrganClass.WIRE][:, 40] == 0
+    assert clear.sum() > 20
+    np.testing.assert_allclose(ignored[clear, 40], 0.3, atol=1 / 32)
+    np.testing.assert_array_equal(fast[..., OrganClass.BACKGROUND][clear, 40], 1.0 - ignored[clear, 40])
+
+
+@pytest.mark.parametrize(("width", "angle"), [(0.06, 0.4), (0.7, 0.0), (3.0, 1.2)])
+def test_wire_covers_its_width_of_each_row_it_crosses(width, angle):
+    # It crosses rows at an angle: width / cos of each row, or of each column if it is closer to horizontal.
+    fast, exhaustive = fast_and_exhaustive(wire(width, angle, offset_px=0.3))
+    np.testing.assert_array_equal(fast, exhaustive)
+    covered = fast[..., OrganClass.WIRE].sum(axis=1 if angle < np.pi / 4 else 0)
+    expected = width / max(np.cos(angle), np.sin(angle))
+    # Along a pixel's sides every row hits the same of 64 columns, and the mean is no better than one row.
+    tolerance = 1 / POINTS if angle in (0.0, np.pi / 2) else 0.01 * width + 0.003
+    assert covered.mean() == pytest.approx(expected, abs=tolerance)
+    # Every crossed row is covered, even if no ray through a centre hits the wire.
+    assert (covered > 0).mean() > (0.95 if width > 0.1 else 0.9)
+    assert (covered < expected + 0.06).all()
+
+
+def test_thin_wire_is_followed_from_where_it_is_hit():
+    # The few rays of most of its pixels miss it; a ball is attached to it.
+    ball = sphere((0, 0, 0.5), 0.004, "matt", subdivisions=2)
+    fast, exhaustive = fast_and_exhaustive(concatenate_meshes([wire(0.08, 0.6), ball]))
+    detected, expected = (image[..., OrganClass.WIRE] > 0 for image in (fast, exhaustive))
+    assert expected.sum() > 60
+    assert (expected & ~detected).sum() <= 1  # where it leaves the image through the corner of a pixel
+    np.testing.assert_array_equal(fast[detected], exhaustive[detected])
+
+
+def test_coverage_equals_the_mean_of_labels_of_smaller_pixels(plants):
+    coarse, fine = camera(distorted=True), camera(columns=800, rows=600, distorted=True)
+    fine = replace(fine, sensor=replace(fine.sensor, binning=fine.sensor.binning // 10))
+    renderer = Renderer(assemble_scene(plants))
+    image = renderer.render(coarse, ["coverage"])["coverage"].astype(float)
+    labels = renderer.render(fine, ["class"])["class"].reshape(60, 10, 80, 10)
+    for organ_class in OrganClass:
+        expected = (labels == organ_class).mean(axis=(1, 3))
+        error = image[..., organ_class] - expected
+        mixed = (expected > 0) & (expected < 1)
+        # 64 points per pixel against a hundred labels.
+        assert np.abs(error).max() < 0.2, organ_class.name
+        if mixed.any():
+            assert np.sqrt(np.mean(error[mixed] ** 2)) < 0.04, organ_class.name
+            assert abs(error.mean()) < 1e-3, organ_class.name
+
+
+def test_coverage_equals_the_exhaustive_one(plants):
+    fast, exhaustive = fast_and_exhaustive(plants, camera(columns=160, rows=120))
+    differ = (fast != exhaustive).any(axis=-1)
+    assert differ.mean() < 3e-4
+    assert np.abs(fast - exhaustive).max() < 0.15
+    assert 0.03 < (exhaustive.max(axis=-1) < 1).mean() < 0.5
+
+
+def test_fractions_sum_to_one_everything_is_in_focus_and_an_empty_view_is_background(plants):
+    renderer = Renderer(assemble_scene(plants))
+    for columns, rows in ((1, 1), (7, 5)):
+        fractions = renderer.render(camera(columns=columns, rows=rows), ["coverage"])["coverage"]
+        assert (fractions.dtype, fractions.shape) == (np.float16, (rows, columns, len(OrganClass)))
+        assert (fractions.astype(float).sum(axis=-1) == 1.0).all()
+        assert (fractions * POINTS == np.rint(fractions * POINTS)).all()
+        assert fractions.min() >= 0
+    sharp, focused = (renderer.render(replace(camera(), focus_m=m), ["coverage"]) for m in (None, 0.2))
+    np.testing.assert_array_equal(sharp["coverage"], focused["coverage"])
+    away = POSES[1].copy()
+    away[:3, :3] = away[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
+    empty = renderer.render(replace(camera(), pose=away), ["coverage"])["coverage"]
+    assert (empty[..., OrganClass.BACKGROUND] == 1).all()
+
+
+def test_another_scene_image_size_or_pose_compiles_nothing(plants):
+    outputs = ("class", "coverage", "position", "uv", "flow", "stereo")
+    first = Renderer(assemble_scene(plants))
+    for step in (0, 1):
+        first.render(camera(step), outputs, partners=partners(step))
+    assert count_compiled(lambda: first.render(camera(1), outputs, partners=partners(0))) == 0
+    small = camera(columns=84, rows=63)
+    assert count_compiled(lambda: first.render(small, outputs, partners=partners())) == 0
+    other = Renderer(assemble_scene(concatenate_meshes([plants, wire(3.0, 0.3)])))
+    assert count_compiled(lambda: other.render(camera(), outputs, partners=partners())) == 0
+
+
+def test_points_and_their_groups_are_evenly_spread():
+    points = pixel_points()
+    cell = np.floor(points * POINTS).astype(int)
+    for axis in range(2):
+        np.testing.assert_array_equal(np.sort(cell[:, axis]), np.arange(POINTS))
+    for group in (points * 2).astype(int).reshape(-1, 4, 2).tolist():
+        assert sorted(map(tuple, group)) == [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+def test_points_estimate_the_area_on_one_side_of_an_edge():
+    rng = np.random.default_rng(1)
+    exact = (np.stack(np.mgrid[:200, :200], -1).reshape(-1, 2) + 0.5) / 200 - 0.5
+    errors = []
+    for _ in range(100):
+        angle, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
+        normal = np.array([np.cos(angle), np.sin(angle)])
+        area, estimate = ((p @ normal < offset).mean() for p in (exact, pixel_points() - 0.5))
+        errors.append(estimate - area)
+    assert np.std(errors) < 0.015
+    assert abs(np.mean(errors)) < 0.005  # four standard errors

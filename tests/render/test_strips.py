@@ -1,4 +1,4 @@
-"""Large images are rendered in strips of rows: the same samples and labels, and no seams."""
+"""Large images, of bands too, are computed in strips of rows and in parts: the same samples, no seams."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from greenhouse import camera, cloudy_sky, greenhouse, partners
 
 from pepperscene.camera import Motion
 from pepperscene.camera.sensor import rows as row_strips
-from pepperscene.outputs import OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS, OUTPUTS
 from pepperscene.render import QUALITIES, Quality, Renderer
-from pepperscene.render.transport import strips
+from pepperscene.render.aov import labels
+from pepperscene.render.transport import accumulate, adaptive, strips
 from pepperscene.render.transport.adaptive import SamplingError, sampling_metadata
 from pepperscene.scene import assemble_scene
+from pepperscene.spectra import Spectrum
 
 FIXED = Quality(samples=4, soft=2, most=4, bounces=2, target=None, denoise=False)
 LABELS = [name for name, output in OUTPUTS.items() if not output.traced and name != "harvest"]
@@ -30,17 +32,21 @@ def plants():
 
 @pytest.fixture
 def in_strips(monkeypatch):
-    """Renders a frame in strips of some rows, with tiles of the denoiser as small as they can be."""
+    """Computes something in strips of some rows, with tiles of the denoiser as small as they can be."""
 
-    def render(rows, renderer, view, *arguments, **named):
+    def compute(rows, view, function):
         with monkeypatch.context() as patch:
             patch.setattr(row_strips, "LARGEST_WHOLE", 1)
             patch.setattr(row_strips, "STRIP_PIXELS", rows * view.width)
             patch.setattr(strips, "TILE_PIXELS", 1)
             assert len(row_strips.row_strips(view.width, view.height)) == -(-view.height // rows)
-            return renderer.render(view, *arguments, **named)
+            return function()
 
-    return render
+    return compute
+
+
+def still(view):
+    return view
 
 
 def rolling(view):
@@ -49,11 +55,11 @@ def rolling(view):
     return replace(view, sensor=sensor, exposure_s=3e-3, motion=Motion((0.2, 0.0, 0.1)))
 
 
-@pytest.mark.parametrize("change", [lambda view: view, rolling], ids=["still", "moving"])
+@pytest.mark.parametrize("change", [still, rolling])
 def test_a_fixed_number_of_samples_gives_the_bits_of_the_whole_image(plants, in_strips, change):
     view = change(camera(columns=64, rows=48))
     whole = plants.render(view, ["electrons"], FIXED, 3)
-    parts = in_strips(10, plants, view, ["electrons"], FIXED, 3)
+    parts = in_strips(10, view, lambda: plants.render(view, ["electrons"], FIXED, 3))
     np.testing.assert_array_equal(parts["electrons"], whole["electrons"])
     expected = whole.metadata["sampling"]
     for name in ("samples_per_pixel", "soft_samples_per_pixel", "error_codes", "noise_codes"):
@@ -61,11 +67,11 @@ def test_a_fixed_number_of_samples_gives_the_bits_of_the_whole_image(plants, in_
         assert parts.metadata["sampling"][name] == pytest.approx(expected[name], rel=0.03), name
 
 
-@pytest.mark.parametrize("change", [lambda view: view, rolling], ids=["still", "moving"])
+@pytest.mark.parametrize("change", [still, rolling])
 def test_labels_have_the_bits_of_the_whole_image(plants, in_strips, change):
     view = change(camera(columns=64, rows=46))
     whole = plants.render(view, LABELS, partners=partners())
-    parts = in_strips(10, plants, view, LABELS, partners=partners())
+    parts = in_strips(10, view, lambda: plants.render(view, LABELS, partners=partners()))
     for name in LABELS:
         if OUTPUTS[name].is_image:
             np.testing.assert_array_equal(parts[name], whole[name], err_msg=name)
@@ -79,7 +85,7 @@ def test_denoised_strips_show_no_seams(plants, in_strips):
     view, quality = camera(columns=320, rows=240), replace(FIXED, denoise=True)
     whole = plants.render(view, ["electrons"], quality, 3)
     other = plants.render(view, ["electrons"], quality, 4)
-    parts = in_strips(30, plants, view, ["electrons"], quality, 3)
+    parts = in_strips(30, view, lambda: plants.render(view, ["electrons"], quality, 3))
     per_code = view.sensor.full_well_e / 255.0
     by_strips, by_seed, both = (
         (one["electrons"] - two["electrons"]).mean(axis=-1) / per_code
@@ -110,7 +116,7 @@ def _column_seams(view):
 def test_each_strip_meets_the_target(plants, in_strips):
     view, target = camera(columns=120, rows=92), QUALITIES["standard"].target
     whole = plants.render(view, ["electrons"], "standard", 3)
-    parts = in_strips(24, plants, view, ["electrons"], "standard", 3)
+    parts = in_strips(24, view, lambda: plants.render(view, ["electrons"], "standard", 3))
     described = [frame.metadata["sampling"] for frame in (whole, parts)]
     assert [item["target"] for item in described] == [target, target]
     assert described[1]["error_to_noise"] < 1.25 * max(target, described[0]["error_to_noise"])
@@ -134,3 +140,81 @@ def test_errors_of_parts_are_weighted_by_their_pixels():
     assert both["below_half_of_noise"] == pytest.approx(0.8)
     assert both["target_met"]
     assert sampling_metadata([one], 0.6)["error_codes"] == 3.0
+
+
+def banded(count, columns=48, rows=36):
+    """A camera with bands of equal width."""
+    view = camera(columns=columns, rows=rows)
+    nm, centres = view.sensor.quantum_efficiency.wavelength_nm, np.linspace(450.0, 650.0, count)
+    curves = 0.5 * np.array([np.interp(nm, centres, row) for row in np.eye(count)])
+    sensor = replace(view.sensor, pattern="bands", quantum_efficiency=Spectrum(nm, curves))
+    return replace(view, sensor=sensor)
+
+
+def scanner(view):
+    """The camera as a line scanner that moves down the image."""
+    sensor = replace(view.sensor, line_scan=True, line_time_s=1e-3)
+    view = replace(view, sensor=sensor, exposure_s=1e-3, labels_per_row=True, flash=None)
+    return replace(view, motion=Motion((0.0, 0.5, 0.0)))
+
+
+@pytest.mark.parametrize("change", [still, scanner])
+def test_bands_have_the_light_of_the_whole_image(plants, in_strips, change):
+    view = change(banded(5))
+    names = ["electrons", "radiance", "position", "chlorophyll", "leaf_age"]
+    whole = plants.render(view, names, FIXED, 3)
+    parts = in_strips(10, view, lambda: plants.render(view, names, FIXED, 3))
+    assert whole["electrons"].any()
+    for name in names:
+        np.testing.assert_array_equal(parts[name], whole[name], err_msg=name)
+
+
+def test_rays_of_a_line_scanner_do_not_depend_on_strips(in_strips):
+    one, other = (scanner(banded(5)) for _ in range(2))
+    rows = slice(7, 19)
+
+    def rays(view):
+        corners = [view.ray_slopes(slice(None)), view.slope_limits(), *view.border_slopes()]
+        return [*corners, view.pixel_directions(rows)]
+
+    assert one.ray_slopes(slice(None)).shape == (2, 49, 2)
+    for part, whole in zip(in_strips(10, other, lambda: rays(other)), rays(one), strict=True):
+        np.testing.assert_array_equal(part, whole)
+
+
+def test_without_noise_strips_of_bands_are_measured_as_the_image(plants, in_strips):
+    view = banded(5)
+    quiet = replace(view.developing, shot_noise=False, read_noise=False, stray_light=False)
+    view = replace(view, developing=quiet)
+    names = sorted(BAND_OUTPUTS)
+    whole = plants.render(view, names, FIXED, 3)
+    parts = in_strips(10, view, lambda: plants.render(view, names, FIXED, 3))
+    for name in names:
+        np.testing.assert_allclose(parts[name], whole[name], rtol=1e-5, atol=1e-3, err_msg=name)
+
+
+@pytest.mark.parametrize("count", [5, 20])
+def test_denoised_strips_of_bands_show_no_seams(plants, in_strips, count):
+    # Above twelve bands, the filter takes means over bands, and their factors come from neighbourhoods.
+    view, quality = banded(count, 128, 120), replace(FIXED, denoise=True)
+
+    def render():
+        return plants.render(view, ["electrons"], quality, 3)["electrons"]
+
+    whole, parts = render(), in_strips(30, view, render)
+    difference = (parts - whole).mean(axis=-1)
+    level = whole.mean()
+    assert np.sqrt(np.mean(np.square(difference))) < 0.01 * level
+    steps = np.abs(np.diff(difference, axis=0).mean(axis=1))
+    assert steps.max() < 0.002 * level
+
+
+def test_images_do_not_depend_on_the_size_of_their_parts(plants, monkeypatch):
+    names = ["colour", "electrons", "uv", "chlorophyll"]
+    whole = plants.render(camera(), names, "standard", 5)
+    for module, constant in ((labels, "_UV_PIXELS"), (adaptive, "_ROWS_PIXELS"), (accumulate, "_LANES")):
+        monkeypatch.setattr(module, constant, 7 * 80 + 3)
+    divided = plants.render(camera(), names, "standard", 5)
+    for name in names:
+        np.testing.assert_array_equal(divided[name], whole[name])
+    assert divided.metadata["sampling"] == whole.metadata["sampling"]
