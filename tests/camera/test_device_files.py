@@ -1,15 +1,36 @@
-"""Files of sensors, lenses, flashes and filters: the shipped ones, and errors in user files."""
+"""Files of sensors, bands, lenses, flashes and filters: shipped ones, errors, and the page on them."""
 
 from __future__ import annotations
 
+import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tomli_w
+from pydantic import BaseModel
 
-from pepperscene.camera import Filter, load_filter, load_flash, load_lens, load_projector, load_sensor
+from pepperscene.camera import (
+    Band,
+    Filter,
+    Flash,
+    Lens,
+    Projector,
+    Sensor,
+    load_filter,
+    load_flash,
+    load_lens,
+    load_projector,
+    load_sensor,
+)
+from pepperscene.camera.optics.flash import FlashDocument
+from pepperscene.camera.optics.lens import LensDocument
+from pepperscene.camera.optics.projector import ProjectorDocument
+from pepperscene.camera.sensor.bands import band_curves, describe_bands
+from pepperscene.camera.sensor.sensor_files import FilterDocument, SensorDocument
 from pepperscene.errors import InputError
+from pepperscene.scene.cover import Cover, CoverDocument, load_cover
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum, read_spectrum
 
@@ -52,18 +73,6 @@ def test_electrons_per_joule_of_a_known_wavelength():
     sensor = load_sensor("ueye_ui5250re")
     expected = sensor.quantum_efficiency.at(500.0) / 3.972892e-19
     np.testing.assert_allclose(sensor.electrons_per_joule(500.0), expected, rtol=1e-6)
-
-
-def test_band_pass_follows_its_formula():
-    transmittance = load_filter("bandpass_850nm").transmittance.at(NM)
-    expected = 0.9 / ((1 + np.exp((820 - NM) / 3)) * (1 + np.exp((NM - 880) / 3)))
-    np.testing.assert_allclose(transmittance, expected, rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize("values", [[0.1, 1.1], [-0.1, 0.5], [[0.1, 0.2], [0.3, 0.4]]])
-def test_filter_raises_on_invalid_transmittance(values):
-    with pytest.raises(ValueError, match="transmittance must be one curve"):
-        Filter("invalid", Spectrum(np.array([400.0, 700.0]), np.array(values)))
 
 
 @pytest.mark.parametrize("kind", LOADERS)
@@ -294,3 +303,168 @@ def test_lens_files_have_further_models(tmp_path):
     coefficients = {"model": "equidistant", "k1": 0.1, "k4": 0.01}
     lens = load_lens(copy_of(tmp_path, "lenses", NAMES["lenses"], put("distortion", coefficients)))
     assert lens.distortion.to_json() == coefficients | {"k2": 0.0, "k3": 0.0}
+
+
+BANDED = {
+    "name": "bands", "kind": "MODEL", "columns": 8, "rows": 6, "pattern": "bands", "binning": 1,
+    "pitch_um": 4.0, "full_well_e": 10_000, "read_noise_e": 5, "bits": 12, "black_level_dn": 10,
+}  # fmt: skip
+BAND_CURVES = "wavelength_nm,first,second,third\n400,0,0,0\n500,0.5,0.1,0\n600,0,0.1,0.8\n700,0,0,0\n"
+
+
+def load_bands(folder, changes):
+    (folder / "curves.csv").write_text(BAND_CURVES)
+    table = {key: value for key, value in {**BANDED, **changes}.items() if value is not None}
+    (folder / "sensor.toml").write_bytes(tomli_w.dumps(table).encode())
+    return load_sensor(folder / "sensor.toml")
+
+
+def test_gaussian_is_half_as_high_half_a_width_beside_its_centre():
+    curve = band_curves([700.0], [10.0], [0.6], ["gaussian"])
+    np.testing.assert_allclose(curve.at([695.0, 700.0, 705.0])[0], [0.3, 0.6, 0.3], rtol=1e-12)
+    # The area of a Gaussian: peak x width x sqrt(pi / (4 ln 2)).
+    assert curve.integral()[0] == pytest.approx(0.6 * 10.0 * np.sqrt(np.pi / np.log(16.0)), rel=1e-4)
+
+
+@pytest.mark.parametrize("centre", [700.0, 700.1])
+def test_box_has_its_width_and_area(centre):
+    curve = band_curves([centre], [20.0], [0.5], ["box"])
+    assert curve.integral()[0] == pytest.approx(10.0, rel=1e-9)
+    edges = curve.at([centre - 10.5, centre - 9.5, centre + 9.5, centre + 10.5])
+    assert edges[0].tolist() == [0, 0.5, 0.5, 0]
+    (band,) = describe_bands(curve)
+    assert (band.centre_nm, band.width_nm) == pytest.approx((centre, 20.0), abs=0.011)
+
+
+def test_bands_one_by_one_and_regular_bands(tmp_path):
+    bands = [{"name": "a", "centre_nm": 500, "width_nm": 20, "peak": 0.4}, {"centre_nm": 800, "width_nm": 5}]
+    sensor = load_bands(tmp_path, {"bands": bands})
+    assert sensor.bands == (Band("a", 500.0, 20.0), Band("", 800.0, 5.0))
+    assert sensor.quantum_efficiency.values.max(axis=1).tolist() == [0.4, 0.5]
+    table = {"first_nm": 400, "last_nm": 1000, "count": 61, "width_nm": 6}
+    sensor = load_bands(tmp_path, {"regular_bands": table})
+    assert [band.centre_nm for band in sensor.bands] == pytest.approx(np.arange(400, 1001, 10), abs=0.01)
+    assert {band.width_nm for band in sensor.bands} == {6.0}
+    assert sensor.band_names == ()
+
+
+def test_curves_of_a_csv_file_keep_their_names_and_order(tmp_path):
+    sensor = load_bands(tmp_path, {"band_curves": {"file": "curves.csv", "columns": ["third", "first"]}})
+    # Triangles: the mean wavelength is the mean of the corners, and the width half of the base.
+    assert sensor.bands == (Band("third", 600.0, 100.0), Band("first", 500.0, 100.0))
+    assert load_bands(tmp_path, {"band_curves": {"file": "curves.csv"}}).channels == 3
+
+
+def test_efficiency_of_the_photosites_multiplies_all_bands(tmp_path):
+    bands = {"bands": [{"centre_nm": 550, "width_nm": 10, "peak": 0.5}]}
+    behind = load_bands(
+        tmp_path, {**bands, "quantum_efficiency": {"file": "curves.csv", "columns": ["third"]}}
+    )
+    # The curve is 0.4 at 550 nm.
+    assert behind.quantum_efficiency.at([550.0])[0, 0] == pytest.approx(0.2)
+
+
+def test_filter_in_front_moves_the_band(tmp_path):
+    sensor = load_bands(tmp_path, {"bands": [{"centre_nm": 600, "width_nm": 40, "shape": "box"}]})
+    (band,) = sensor.with_filter(Spectrum(np.array([600.0, 700.0]), np.ones(2))).bands
+    assert (band.centre_nm, band.width_nm) == pytest.approx((610.0, 20.0), abs=0.2)
+
+
+BAND = {"centre_nm": 500, "width_nm": 20}
+REGULAR = {"first_nm": 400, "last_nm": 900, "count": 5, "width_nm": 5}
+THREE = {"file": "curves.csv", "columns": ["first"] * 3}
+COLOURS = {"pattern": "rggb", "binning": 2, "quantum_efficiency": THREE}
+BLIND = {"bands": [{"centre_nm": 900, "width_nm": 20}]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "problem"),
+    [
+        ({}, "", "needs one of bands, regular_bands, band_curves, which are missing"),
+        ({"bands": [BAND], "regular_bands": REGULAR}, "", "not bands and regular_bands"),
+        ({"bands": [{**BAND, "peak": 1.5}]}, "bands.0.peak", "less than or equal to 1"),
+        ({"bands": [{**BAND, "name": "a"}] * 2}, "bands.1.name", "must be different for each band"),
+        ({"regular_bands": {**REGULAR, "last_nm": 300}}, "regular_bands", "must be below last_nm"),
+        ({"band_curves": {"file": "no.csv"}}, "band_curves.file", "is not a file in the same folder"),
+        (
+            {"band_curves": {"file": "curves.csv", "columns": ["x"]}},
+            "band_curves.columns", "different columns of",
+        ),
+        ({"pattern": "mono", "bands": [BAND]}, "", 'bands needs the pattern "bands"'),
+        ({"pattern": "mono"}, "", "quantum_efficiency is required but missing"),
+        (
+            {**BLIND, "quantum_efficiency": {"file": "curves.csv", "columns": ["first"]}},
+            "maximum of the band 1", "must reach at least",
+        ),
+        ({"bands": [BAND], "line_scan": True}, "", "line_scan needs a line_time_us above 0"),
+        ({"bands": [BAND], "line_time_us": 20_000}, "", "must be at most 10000, or 1e+07 with line_scan"),
+        (
+            {**COLOURS, "line_scan": True, "line_time_us": 100},
+            "", 'line_scan needs the pattern "mono" or "bands"',
+        ),
+    ],
+)  # fmt: skip
+def test_errors_name_key_and_what_is_allowed(tmp_path, changes, key, problem):
+    with pytest.raises(InputError) as caught:
+        load_bands(tmp_path, changes)
+    assert caught.value.key == key
+    assert problem in caught.value.problem
+
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "devices.md").read_text(encoding="utf-8")
+PAGE_DEVICES = {
+    "Sensor": (load_sensor, Sensor, SensorDocument, "sensors"),
+    "Lens": (load_lens, Lens, LensDocument, "lenses"),
+    "Flash": (load_flash, Flash, FlashDocument, "flashes"),
+    "Filter": (load_filter, Filter, FilterDocument, "filters"),
+    "Projector": (load_projector, Projector, ProjectorDocument, "projectors"),
+    "Cover": (load_cover, Cover, CoverDocument, "covers"),
+}
+each_device = pytest.mark.parametrize("title", PAGE_DEVICES)
+
+
+def section(title: str) -> str:
+    return TEXT.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def block(text: str, language: str) -> str:
+    (content,) = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+    return content
+
+
+@each_device
+def test_example_loads(title, tmp_path):
+    load, kind, _, _ = PAGE_DEVICES[title]
+    (tmp_path / "curves.csv").write_text(block(TEXT, "text"), encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(block(section(title), "toml"), encoding="utf-8")
+    device = load(tmp_path / "mine.toml")
+    assert isinstance(device, kind)
+    assert device.name.startswith("my ")
+
+
+def keys(model: type[BaseModel]) -> set[str]:
+    """Keys of a file of this model, those of its tables included."""
+    names = set(model.model_fields)
+    for name, field in model.model_fields.items():
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                names |= {f"{name}.{key}" for key in keys(kind)}
+    return names
+
+
+@each_device
+def test_page_lists_every_key(title):
+    text = TEXT.split("\n## Sensor\n")[0] + section(title)  # keys of all files, and those of this device
+    for key in keys(PAGE_DEVICES[title][2]):
+        table, _, last = key.rpartition(".")
+        rows = [row for row in text.splitlines() if row.startswith("|") and f"`{last}`" in row]
+        rows += [row for row in text.splitlines() if row.startswith(f"| `[{last}]`")]
+        assert [row for row in rows if not table or f"`[{table}]`" in row], key
+
+
+@each_device
+def test_page_lists_every_shipped_device(title):
+    folder = PAGE_DEVICES[title][3]
+    (row,) = (row for row in TEXT.splitlines() if re.match(rf"\| .+ \| `{folder}` \|", row))
+    listed = set(re.findall(r"`(\w+)`", row.split("|")[3]))
+    assert listed == {path.stem for path in (shipped_folder("materials") / folder).glob("*.toml")}

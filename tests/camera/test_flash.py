@@ -82,20 +82,6 @@ def test_emitters_share_the_intensity():
     assert 1 / max(alone) < 1 / MATRIX.axial_area_m2 < 1 / 0.25
 
 
-def test_shipped_matrix_fits_beside_the_lens():
-    emitters = MATRIX.emitters_m
-    assert emitters.shape == (64, 2)
-    np.testing.assert_allclose(emitters.mean(axis=0), 0, atol=1e-15)
-    distances = np.linalg.norm(emitters[:, None] - emitters, axis=-1)[~np.eye(64, dtype=bool)]
-    assert distances.min() == pytest.approx(0.008)
-    assert distances.min() > 2 * MATRIX.radius_m
-    # An M12 barrel around the optical axis hides no LED.
-    from_axis = np.hypot(*(emitters + MATRIX.offset_m[:2]).T) - MATRIX.radius_m
-    assert from_axis.min() > 0.007
-    with pytest.raises(ValueError, match="read-only"):
-        emitters[0, 0] = 1.0
-
-
 def test_strength_in_lux_or_watts_is_reproduced():
     assert illuminance(MATRIX.irradiance()) == pytest.approx(200_000, rel=1e-9)
     assert INFRARED.irradiance().integral() == pytest.approx(100, rel=1e-9)

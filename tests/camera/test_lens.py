@@ -99,14 +99,6 @@ def test_raises_on_invalid_lens():
         Lens("invalid", 4e-3, 2.0, principal_offset_m=(0.0, math.inf))
 
 
-def test_lens_is_hashable():
-    # The camera caches the rays of a lens and a sensor.
-    table = AngularProfile(np.array([0.0, 1.0]), np.array([1.0, 0.5]), "hold")
-    lens = Lens("test", 4e-3, 2.0, principal_offset_m=np.array([1e-4, -1e-4]), vignetting=table)
-    assert {lens: 1}[lens] == 1
-    assert lens.principal_offset_m == (1e-4, -1e-4)
-
-
 def test_profile_is_zero_or_held_beyond_its_last_angle():
     angle, relative = np.array([0.0, 0.5, 1.0]), np.array([1.0, 0.8, 0.4])
     at = [0.25, 1.0, 1.01, 1.5]

@@ -165,18 +165,6 @@ def test_arguments_that_are_not_allowed(changes, message):
         spline_trajectory(**arguments)
 
 
-@given(st.lists(st.tuples(*3 * [st.floats(-3, 3)]), min_size=2, max_size=8))
-def test_any_points_give_a_constant_speed_or_one_sentence(points):
-    try:
-        path = spline_trajectory(points, SPEED, count=60, azimuth_rad=0.0)
-    except ValueError as error:
-        assert any(text in str(error) for text in ("are equal", "turns back"))  # noqa: PT017
-        return
-    np.testing.assert_allclose(np.linalg.norm(path.velocity_m_s, axis=1), SPEED, rtol=1e-9)
-    steps = np.linalg.norm(np.diff(path.poses[:, :3, 3], axis=0), axis=1)
-    assert np.all(steps <= SPEED * path.times_s[1] * (1 + 1e-6))  # a chord is shorter than its arc
-
-
 def helix(times, rate=0.8):
     """Poses on a helix around z that face its axis, and their exact velocities."""
     angle = rate * times

@@ -22,7 +22,6 @@ from pepperscene.camera import (
     write_poses,
 )
 from pepperscene.camera.optics.calibration import CameraCalibration
-from pepperscene.camera.poses.trajectory import trajectory_from_poses
 from pepperscene.errors import ArgumentError, InputError, OutputError
 
 FORMATS = {"tum": "poses.txt", "csv": "poses.csv", "nerfstudio": "transforms.json", "colmap": "model"}
@@ -109,16 +108,6 @@ def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
 def test_tum_files_that_are_not_allowed(text, message, tmp_path):
     with pytest.raises(InputError, match=f"poses.txt: {message}"):
         read_poses(written(tmp_path / "poses.txt", text))
-
-
-@pytest.mark.parametrize("times", [(1.7e9, 1.7e9 + 1e-6), (-1e12, 1e12)])
-def test_times_of_the_whole_range_give_finite_velocities(times, tmp_path):
-    text = "t_s,x_m,y_m,z_m,yaw_deg,pitch_deg\n"
-    text += "".join(f"{time!r},{place},-0.8,1,{90 * place},0\n" for place, time in enumerate(times))
-    poses = read_poses(written(tmp_path / "poses.csv", text))
-    path = trajectory_from_poses(poses.poses, poses.times_s)
-    assert np.isfinite(path.velocity_m_s).all()
-    assert np.isfinite(path.angular_velocity_rad_s).all()
 
 
 def test_more_than_100_000_poses_are_refused(tmp_path):

@@ -99,14 +99,6 @@ def test_gain_keeps_the_black_level_and_settings_combine():
             UEYE.with_settings(**invalid)
 
 
-def test_photosite_counts():
-    assert (UEYE.channels, UEYE.site_shape, UEYE.photosites) == (3, (1200, 1600), (1, 2, 1))
-    assert small(binning=4).photosites == (4, 8, 4)
-    assert small(binning=1).photosites == (1, 1, 1)
-    assert (MONO.channels, MONO.photosites, small(MONO, binning=3).photosites) == (1, (1,), (9,))
-    assert small(MONO, binning=3).pixel_pitch_m == pytest.approx(18e-6)
-
-
 @all_patterns
 @pytest.mark.parametrize("binning", [1, 4])
 def test_pure_colours_reach_only_their_photosites(pattern, binning):
@@ -408,14 +400,6 @@ def test_a_soft_edge_of_grey_light_stays_in_its_place_in_every_colour():
     middle = rgb[[10, -10]].mean(axis=0)
     position = [np.interp(middle[c], rgb[75:85, c], np.arange(75, 85) + 0.5) for c in range(3)]
     np.testing.assert_allclose(position, 80, atol=0.02)
-
-
-def test_no_photosite_leaves_the_range_of_the_pixels_around_it():
-    mode = MONO.with_size(334, 213)
-    electrons = np.random.default_rng(5).choice([0.0, 1.0, 1000.0], (213, 334, 1))
-    sites = spread_to_photosites(electrons, mode)
-    assert sites.min() >= -1e-4
-    assert sites.max() <= 1000.01
 
 
 def test_raw_frames_have_all_photosites():

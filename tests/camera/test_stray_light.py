@@ -67,14 +67,6 @@ def test_light_is_redistributed_and_none_is_lost(stray):
         np.testing.assert_allclose(even, 70.0, rtol=1e-10)
 
 
-def test_stray_light_is_linear_and_the_same_every_time():
-    camera, rng = camera_with(StrayLight()), np.random.default_rng(2)
-    a, b = (rng.random((150, 200, 3)) for _ in range(2))
-    both = add_stray_light(2 * a + b, camera)
-    np.testing.assert_allclose(both, 2 * add_stray_light(a, camera) + add_stray_light(b, camera), rtol=1e-9)
-    np.testing.assert_array_equal(both, add_stray_light(2 * a + b, camera))
-
-
 def test_point_spreads_alike_in_both_directions_and_is_reciprocal():
     camera = camera_with(NO_GHOSTS)
     spread = add_stray_light(image_of(camera, (75, 100)), camera)[..., 1]

@@ -17,7 +17,7 @@ def test_smooth_noise_is_standardised_and_has_its_correlation_length():
         assert np.mean(field * shifted) == pytest.approx(np.exp(-0.25), abs=0.06)
 
 
-@pytest.mark.parametrize("spacing", [7.0, 38.0])
+@pytest.mark.parametrize("spacing", [7.0, 17.0, 38.0])
 def test_cells_are_distances_on_a_torus(spacing):
     """No distance jumps from pixel to pixel, as where the search missed a centre, or at the edges."""
     cells = random_cells(np.random.default_rng(2), 256, spacing)

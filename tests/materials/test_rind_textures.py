@@ -93,6 +93,8 @@ def test_russet_is_around_the_calyx_and_the_scar_at_the_blossom_end(textures, bo
     assert np.mean(near < 0.05) > 0.2
     between = textures.cover[:, (beyond > 1.3 * rt.RUSSET_MM[1]) & (to_end > 4 * rt.STYLE_SCAR_MM)]
     assert between.mean() < 2 * rt.DUST
+    # The median of a lognormal field of this mean.
+    assert np.median(between) == pytest.approx(rt.DUST * np.exp(-0.5 * 0.7**2), rel=0.1)
     assert textures.cover[:, -1].min() > 0.5
     assert textures.cover.max() <= 0.95
 

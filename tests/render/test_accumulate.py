@@ -207,15 +207,6 @@ def test_variance_of_traced_samples_equals_that_of_independent_samples(tracer):
     assert np.corrcoef(deviation.ravel(), independent.ravel())[0, 1] > 0.95
 
 
-@pytest.mark.long
-def test_variance_from_four_samples_equals_that_from_many(tracer):
-    # Averaged over the image, as adaptive sampling uses it. So small a image has few edges: frames differ
-    # by half, their mean over 48 by 7 %.
-    many = tracer.light(256, 1, seed=1).variance.direct.mean()
-    few = np.mean([tracer.light(4, 1, seed=seed).variance.direct.mean() for seed in range(48)])
-    assert few == pytest.approx(many, rel=0.2)
-
-
 SHAPE = (4, 3)
 MOTION = Motion((1.0, 0.0, 0.0))
 

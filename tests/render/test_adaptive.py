@@ -187,13 +187,6 @@ def distribute(variance: np.ndarray, allowed: float, most: int) -> np.ndarray:
     return np.clip(np.power(scale * variance.astype(float), 0.4), 1.0, most)
 
 
-@pytest.mark.parametrize("fraction", [0.5, 0.005])
-def test_mean_variance_equals_the_allowed_one(fraction):
-    variance = random_variances(1)
-    allowed = fraction * mean_variance(variance, np.ones(variance.size))
-    assert mean_variance(variance, distribute(variance, allowed, 1 << 20)) == pytest.approx(allowed, rel=1e-4)
-
-
 @pytest.mark.parametrize(("fraction", "most"), [(0.3, 64), (0.03, 1 << 20)])
 def test_no_other_distribution_of_as_many_samples_is_better(fraction, most):
     variance, rng = random_variances(2), np.random.default_rng(3)

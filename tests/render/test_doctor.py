@@ -85,17 +85,6 @@ def test_a_lack_of_memory_is_not_reported_as_a_wrong_library():
     assert "LLVM" not in variant.advice
 
 
-def test_a_library_that_cannot_be_examined_is_reported_with_the_reason(monkeypatch, tmp_path):
-    library = tmp_path / "libLLVM.so"
-    library.touch()
-    monkeypatch.setenv(LLVM_VARIABLE, str(library))
-    monkeypatch.setattr(sys, "executable", str(tmp_path / "missing"))
-    llvm = line_of(diagnose(), "LLVM")
-    assert not llvm.good
-    assert "could not run" in llvm.found
-    assert "install" not in llvm.advice
-
-
 @pytest.mark.parametrize(
     ("backend", "has_gpu", "furnace", "found"),
     [

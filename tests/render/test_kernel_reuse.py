@@ -12,8 +12,7 @@ from pepperscene.materials import lambertian_surface
 from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.render import Renderer
 from pepperscene.render.arrays import ALIGNMENT, device_array, device_float, device_uint
-from pepperscene.render.kernel.scene import light_scene, mitsuba_mesh, organ_table, truth_scene
-from pepperscene.render.reference.path_tracer import surface_bsdf
+from pepperscene.render.kernel.scene import light_scene, mitsuba_mesh
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Sky, assemble_scene
 
@@ -73,14 +72,6 @@ def test_another_scene_compiles_nothing(first, number):
 def test_another_image_size_pose_or_seed_compiles_nothing(first):
     for view in (camera(columns=84, rows=63), camera(0)):
         assert count_compiled(lambda view=view: first.render(view, DEFAULT_OUTPUTS, QUALITY, 77)) == 0
-
-
-def test_kernels_outlive_their_scene(first):
-    renderer = Renderer(other_scene(1))
-    renderer.render(camera(), DEFAULT_OUTPUTS, QUALITY, 1)
-    del renderer
-    render = Renderer(greenhouse()).render
-    assert count_compiled(lambda: render(camera(), DEFAULT_OUTPUTS, QUALITY, 1)) == 0
 
 
 @pytest.mark.parametrize(("shape", "dtype"), [((1,), np.float32), ((2,), np.uint32), ((1001, 3), np.float32)])
@@ -168,24 +159,6 @@ def test_interactions_equal_mitsubas(kernel_scene, rays):
     assert np.array_equal(np.asarray(a.o)[:, mask], np.asarray(b.o)[:, mask])
 
 
-def test_face_states_equal_mesh_attributes(plants, kernel_scene, rays):
-    mi, _ = mitsuba_modules()
-    _, face_organ = organ_table(plants)
-    shape = mitsuba_mesh(plants.mesh, surface_bsdf().of(kernel_scene.optics), face_organ=face_organ)
-    with_attributes = mi.load_dict({"type": "plants", "plants": shape})
-    hit = with_attributes.ray_intersect_preliminary(rays)
-    active = hit.is_valid()
-    si = hit.compute_surface_interaction(rays, mi.RayFlags.All, active)
-    organ = mi.UInt32(shape.eval_attribute_1("face_organ", si, active) + 0.5)
-    state = shape.eval_attribute_1("vertex_state", si, active)
-    expected = kernel_scene.optics.point(si, organ, state, active)
-    point = kernel_scene.surface_point(si, hit, active)
-    mask = np.asarray(active)
-    for name in ("reflectance", "transmittance", "entering"):
-        a, b = (np.asarray(getattr(p, name))[..., mask] for p in (point, expected))
-        np.testing.assert_allclose(a, b, atol=2e-5)
-
-
 def test_mitsuba_mesh_holds_the_mesh_and_shares_its_large_buffers(plants):
     mesh, shape = plants.mesh, mitsuba_mesh(plants.mesh)
     buffers = {
@@ -199,13 +172,3 @@ def test_mitsuba_mesh_holds_the_mesh_and_shares_its_large_buffers(plants):
         # A GPU has its own memory; the texture coordinates are aligned, and so copied.
         if mitsuba_modules()[0].variant().startswith("llvm") and name != "uv":
             assert np.shares_memory(np.asarray(buffer), getattr(mesh, name)), name
-
-
-def test_mesh_attributes_exist_only_for_a_bsdf(plants, kernel_scene):
-    names = ("vertex_state", "face_organ")
-    plain = mitsuba_mesh(plants.mesh)
-    _, face_organ = organ_table(plants)
-    with_bsdf = mitsuba_mesh(plants.mesh, surface_bsdf().of(kernel_scene.optics), face_organ=face_organ)
-    assert not any(plain.has_attribute(name) for name in names)
-    assert all(with_bsdf.has_attribute(name) for name in names)
-    assert not truth_scene(plants).shapes()[0].has_attribute("vertex_state")

@@ -118,15 +118,6 @@ def test_surface_coordinates_equal_trimeshs(mesh, kernel_scene):
     assert np.median(np.abs(uv[row, column] - expected)) < 1e-6
 
 
-def test_empty_view_has_no_labels(mesh):
-    empty = Hits(np.full((4, 5), -1), np.full((4, 5), np.inf, np.float32))
-    small = camera(columns=5, rows=4)
-    assert not labels.normals(mesh, empty, camera()).any()
-    assert not labels.instance_ids(mesh, empty).any()
-    assert np.isinf(labels.positions(empty, small)).all()
-    assert (labels.surface_coordinates(mesh, empty, small) == -1).all()
-
-
 def test_last_face_is_not_mistaken_for_the_background():
     triangle = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
     mesh, pose = body(triangle, "matt", OrganClass.STEM), np.eye(4)

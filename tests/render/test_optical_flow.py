@@ -272,16 +272,3 @@ def test_points_and_their_groups_are_evenly_spread():
         np.testing.assert_array_equal(np.sort(cell[:, axis]), np.arange(POINTS))
     for group in (points * 2).astype(int).reshape(-1, 4, 2).tolist():
         assert sorted(map(tuple, group)) == [(0, 0), (0, 1), (1, 0), (1, 1)]
-
-
-def test_points_estimate_the_area_on_one_side_of_an_edge():
-    rng = np.random.default_rng(1)
-    exact = (np.stack(np.mgrid[:200, :200], -1).reshape(-1, 2) + 0.5) / 200 - 0.5
-    errors = []
-    for _ in range(100):
-        angle, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5)
-        normal = np.array([np.cos(angle), np.sin(angle)])
-        area, estimate = ((p @ normal < offset).mean() for p in (exact, pixel_points() - 0.5))
-        errors.append(estimate - area)
-    assert np.std(errors) < 0.015
-    assert abs(np.mean(errors)) < 0.005  # four standard errors

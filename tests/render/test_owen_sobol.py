@@ -161,22 +161,3 @@ def test_errors_fall_at_the_theoretical_rate(function, max_slope, gain):
     assert slope < max_slope, slope
     assert (errors < independent).all()
     assert errors[2] < gain * independent[2]
-
-
-def test_blocks_are_equally_good_wherever_they_start():
-    f, truth = EDGE
-    errors = []
-    for start in (0, 16, 80):
-        (points,) = draw("2", np.arange(2000), start + np.arange(16), 8)
-        means = f(points[..., 0], points[..., 1]).mean(axis=1)
-        errors.append(np.sqrt(np.square(means - truth).mean()))
-    assert errors == pytest.approx([errors[0]] * 3, rel=0.1)
-
-
-def test_product_over_four_dimensions_has_the_right_mean_and_converges():
-    # Of two padded pairs, the interaction converges as independent samples do, the rest faster.
-    first, second = draw("22", np.arange(2000), np.arange(COUNTS[-1]), 9)
-    values = np.prod(np.concatenate([first, second], axis=-1) + 0.5, axis=-1)  # mean 1
-    errors, independent = rms_errors(values, 1.0)
-    assert np.polyfit(np.log(COUNTS), np.log(errors), 1)[0] < -0.5
-    assert (errors < 0.6 * independent).all(), errors / independent
