@@ -95,7 +95,8 @@ def test_renderer_can_be_reused_for_another_pose_lens_or_image_size(scene, used,
 
 def test_output_does_not_depend_on_the_other_outputs(scene, frame):
     another = Renderer(scene)
-    for names in (["colour"], ["electrons"], ["colour_stereo"], list(IMAGERS), *([name] for name in LABELS)):
+    traced = (["colour"], ["raw"], ["electrons"], ["colour_stereo"], list(IMAGERS))
+    for names in (*traced, *([name] for name in LABELS)):
         alone = digests(another.render(camera(), names, "standard", 5, partners=partners()))
         assert alone == {name: digests(frame)[name] for name in names}
 
