@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -119,17 +120,18 @@ COEFFICIENTS = {
     "equidistant": (0.035, -0.012, 0.006, -0.0015),
 }
 SENSOR = load_sensor("generic_rgb")
+QUARTER = replace(SENSOR, columns=320, rows=240)
 each_model = pytest.mark.parametrize("model", MODELS)
 
 
-def camera_of(model, coefficients=None, fx=900.0, fy=912.0, cx=655.3, cy=471.8):
+def camera_of(model, coefficients=None, fx=225.0, fy=228.0, cx=163.8, cy=117.9, sensor=QUARTER):
     coefficients = COEFFICIENTS[model] if coefficients is None else coefficients
-    calibration = CameraCalibration(SENSOR.columns, SENSOR.rows, fx, fy, cx, cy, model, coefficients)
-    lens = calibration.lens("test", SENSOR.pixel_pitch_m, 2.0, 0.9)
-    return Camera(lens, SENSOR, pose=look_at([0.3, -0.8, 1.2], [0.1, 0.4, 1.0]))
+    calibration = CameraCalibration(sensor.columns, sensor.rows, fx, fy, cx, cy, model, coefficients)
+    lens = calibration.lens("test", sensor.pixel_pitch_m, 2.0, 0.9)
+    return Camera(lens, sensor, pose=look_at([0.3, -0.8, 1.2], [0.1, 0.4, 1.0]))
 
 
-def project_with_opencv(camera, model, coefficients, points, fx=900.0, fy=912.0, cx=655.3, cy=471.8):
+def project_with_opencv(camera, model, coefficients, points, fx=225.0, fy=228.0, cx=163.8, cy=117.9):
     """Pixel coordinates `(n, 2)` in this package's convention."""
     rotation = camera.pose[:3, :3].T
     vector, shift = cv2.Rodrigues(rotation)[0], -rotation @ camera.pose[:3, 3]
@@ -210,7 +212,7 @@ def test_fold_radius_is_the_first_maximum_of_the_image_radius(model):
 
 def test_equidistant_pixels_get_the_light_of_their_solid_angle():
     # theta_d = theta has the area scale theta cos^3(theta) / sin(theta), so cos^4 over it is this.
-    camera = camera_of("equidistant", (0, 0, 0, 0), fx=700.0, fy=700.0)
+    camera = camera_of("equidistant", (0, 0, 0, 0), fx=175.0, fy=175.0)
     cosine = camera.pixel_directions()[..., 2]
     theta = np.arccos(cosine)
     expected = cosine * np.sin(theta) / theta
@@ -219,9 +221,9 @@ def test_equidistant_pixels_get_the_light_of_their_solid_angle():
 
 def test_a_fisheye_image_beyond_a_right_angle_is_refused_with_its_angle():
     with pytest.raises(InputError, match=r"slope \(-1\.312, -0\.945\) is at 92\.6 degrees from the axis"):
-        camera_of("equidistant", (0, 0, 0, 0), fx=500.0, fy=500.0)
+        camera_of("equidistant", (0, 0, 0, 0), 500.0, 500.0, 655.3, 471.8, SENSOR)
     with pytest.raises(InputError, match=r"a corner at 8[5-9]\.. degrees .* at most 85 are allowed"):
-        camera_of("equidistant", (0, 0, 0, 0), fx=530.0, fy=530.0)
+        camera_of("equidistant", (0, 0, 0, 0), 530.0, 530.0, 655.3, 471.8, SENSOR)
 
 
 @each_model
