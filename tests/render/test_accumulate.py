@@ -195,10 +195,10 @@ def test_refinement_adds_the_samples_that_would_have_come_next(tracer):
 
 
 def test_variance_of_traced_samples_equals_that_of_independent_samples(tracer):
-    # One sample per frame, over 64 seeds, has the variance that 256 samples of a frame report: well-spread
+    # One sample per frame, over 128 seeds, has the variance that 256 samples of a frame report: well-spread
     # samples cover what independent ones do. Indirect light is left out, as rare paths make most of its
     # variance. Deviations are compared, in which the few pixels with the brightest edges weigh less.
-    singles = [tracer.light(1, 1, seed=100 + seed) for seed in range(64)]
+    singles = [tracer.light(1, 1, seed=100 + seed) for seed in range(128)]
     light = np.array([single.flash.astype(float) + single.sky_and_sun for single in singles])
     reported = tracer.light(256, 1).variance
     independent = np.sqrt((light / reported.white).var(axis=0, ddof=1).sum(axis=-1))

@@ -32,7 +32,7 @@ from pepperscene.render.transport.trace import Sampling, trace
 from pepperscene.scene import Scene
 from pepperscene.spectra import Spectrum
 
-RUNS, SAMPLES, MOST_BOUNCES = 8, 8, 12
+RUNS, SAMPLES, MOST_BOUNCES = 12, 8, 12
 SIGNIFICANT = 1e-3
 """Chosen: smallest p-value of a test, over that of the most significant channel."""
 

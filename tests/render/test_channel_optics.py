@@ -133,7 +133,7 @@ def test_light_by_channel_equals_light_at_wavelengths(flash, monkeypatch):
         return [[*by_channel, *first_hit_light(tables, samples, wavelengths)]]
 
     # (runs, 6, pixels)
-    runs = np.array([sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(12)])
+    runs = np.array([sum_samples(tables, None, 0, 16, seed, both_ways) for seed in range(24)])
     by_channel, at_wavelengths = runs[:, :3], runs[:, 3:]
     assert by_channel.any()
     change = (at_wavelengths - by_channel).mean(axis=2) / by_channel.mean(axis=(0, 2))
