@@ -27,7 +27,7 @@ from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.errors import InputError
 
 
-def coloured_noise(exponent, size=256, seed=0):
+def coloured_noise(exponent, size=512, seed=0):
     """An image whose power falls with this power of the frequency."""
     rng = np.random.default_rng(seed)
     radius = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size), indexing="ij"))
