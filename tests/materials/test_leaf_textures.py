@@ -20,15 +20,14 @@ def grid():
 
 
 @pytest.fixture(scope="module")
-def textures(surfaces):
-    """Those of the shipped cultivar's leaf."""
-    return surfaces["leaf"]
+def textures(grid):
+    return leaf_textures(grid, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="module")
-def of_residue(grid):
-    """Textures of leaves with dust, with spray and with mildew alone."""
-    return [leaf_textures(grid, np.random.default_rng(1), 3, share) for share in np.eye(3)]
+def patches(grid):
+    """Residue of leaves with spray and mildew, without dust."""
+    return leaf_textures(grid, np.random.default_rng(1), 3, (0.0, 0.3, 0.7)).residue_pattern
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +55,7 @@ def correlations(maps, mask):
 
 
 def test_leaves_have_eight_maps_of_each_kind_and_do_not_share_a_texture(textures, grid, inside):
-    for maps in textures.textures.values():
+    for maps in vars(textures).values():
         assert (maps.dtype, maps.shape) == (np.float32, (TEXTURES, 512, 425))
     away = inside & (np.abs(grid.x_mm) > MIDRIB_MM)
     for maps in (textures.pattern, textures.relief_mm):
@@ -122,34 +121,35 @@ def test_midrib_is_lighter_by_five_to_twelve(textures, grid, kaite, nm, state):
     assert 5 < lab(midrib, nm)[0] - lab(blade, nm)[0] < 12
 
 
-def test_residue_has_mean_one_evenly_or_in_patches(of_residue, inside):
-    dust, *patches = (part.residue_pattern for part in of_residue)
-    for residue in (*dust, *np.concatenate(patches)):
+def test_residue_has_mean_one_evenly_or_in_patches(textures, patches, inside):
+    dust = textures.residue_pattern
+    for residue in (*dust, *patches):
         assert residue.min() >= 0
         assert residue[inside].mean() == pytest.approx(1, abs=1e-4)
     for residue in dust:
         assert 0.3 < residue[inside].std() < 0.75
-    for residue in np.concatenate(patches):
+    for residue in patches:
         # Uneven, but few places have so much that a mean cover of 10 % fills them.
         assert 0.6 < residue[inside].std() < 3
         assert np.mean(residue[inside] > 9.5) < 0.02
 
 
-def test_spray_and_mildew_have_patches_of_two_to_twenty_millimetres(of_residue, grid, inside):
+def test_spray_and_mildew_have_patches_of_two_to_twenty_millimetres(patches, grid, inside):
     """Distance at which the autocorrelation of the cover has fallen to 1/e, twice: a patch's diameter."""
     sizes, size = [], (1024, 1024)
     area = np.fft.irfft2(np.abs(np.fft.rfft2(inside.astype(float), size)) ** 2)[0, :200]
-    for residue in np.concatenate([part.residue_pattern for part in of_residue[1:]]):
+    for residue in patches:
         field = np.where(inside, np.minimum(residue, 5.0) - np.minimum(residue, 5.0)[inside].mean(), 0.0)
         correlation = np.fft.irfft2(np.abs(np.fft.rfft2(field, size)) ** 2)[0, :200] / area
         sizes.append(2 * grid.pixel_mm * np.argmax(correlation / correlation[0] < np.exp(-1)))
     assert 2 < min(sizes) <= max(sizes) < 20
 
 
-def test_more_dust_lies_in_the_midrib_and_more_spray_at_the_tip_too(of_residue, grid, inside):
+def test_more_dust_lies_in_the_midrib_and_more_spray_at_the_tip_too(textures, grid, inside):
     midrib = inside & (np.abs(grid.x_mm) < 1) & (grid.height < 0.8)
     between = inside & (np.abs(grid.x_mm) > 10) & (grid.height < 0.8)
-    dust, spray = (part.residue_pattern.mean(axis=0) for part in of_residue[:2])
+    sprayed = leaf_textures(grid, np.random.default_rng(1), 4, (0.0, 1.0, 0.0))
+    dust, spray = (part.residue_pattern.mean(axis=0) for part in (textures, sprayed))
     assert dust[midrib].mean() > 1.2 * dust[between].mean()
     assert spray[midrib].mean() > 1.2 * spray[between].mean()
     assert spray[inside & (grid.height > 0.94)].mean() > 1.2 * spray[between].mean()
@@ -225,10 +225,10 @@ def test_textures_are_a_function_of_the_generator(grid):
         assert not np.array_equal(getattr(first, field), getattr(other, field))
 
 
-def test_a_palmate_blade_has_pale_main_veins_beside_its_midrib(grid, of_residue):
+def test_a_palmate_blade_has_pale_main_veins_beside_its_midrib(grid, textures):
     """The lowest lateral veins are paler and deeper by half or more; nothing else changes."""
-    palmate, plain = leaf_textures(replace(grid, palmate=True), np.random.default_rng(1), 1), of_residue[0]
-    paler, lower = plain.pattern[:1] - palmate.pattern, plain.relief_mm[:1] - palmate.relief_mm
+    palmate = leaf_textures(replace(grid, palmate=True), np.random.default_rng(1), 1)
+    paler, lower = textures.pattern[:1] - palmate.pattern, textures.relief_mm[:1] - palmate.relief_mm
     assert paler.min() == 0.0
     assert lower.min() == pytest.approx(0.0, abs=1e-6)
     assert min(paler.max(), lower.max()) > 0.2
@@ -237,4 +237,4 @@ def test_a_palmate_blade_has_pale_main_veins_beside_its_midrib(grid, of_residue)
     assert 0.01 < veins.mean() < 0.1
     middle = slice(grid.shape[1] * 4 // 10, grid.shape[1] * 6 // 10)
     assert not veins[:, 2 * grid.shape[0] // 3 :, middle].any()
-    np.testing.assert_array_equal(palmate.ageing_order, plain.ageing_order[:1])
+    np.testing.assert_array_equal(palmate.ageing_order, textures.ageing_order[:1])
