@@ -58,7 +58,7 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize(("name", "target"), zip(VIEWS, (50.0, 140.0, 90.0), strict=True))
+@pytest.mark.parametrize(("name", "target"), list(zip(VIEWS, (50.0, 140.0, 90.0), strict=True)))
 def test_rendered_image_has_the_wanted_mean_grey(renderer, name, target):
     control = replace(CONTROL, target_grey=target)
     frame = renderer.render(VIEWS[name], ["colour"], "standard", 3, exposure_control=control)
