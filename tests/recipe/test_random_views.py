@@ -109,7 +109,7 @@ def camera():
 @pytest.fixture(scope="module")
 def views(scene, space, camera):
     rng = np.random.default_rng(5)
-    return [random_view(SETTINGS, scene, camera, rng, anything, space) for _ in range(1000)]
+    return [random_view(SETTINGS, scene, camera, rng, anything, space) for _ in range(300)]
 
 
 @pytest.fixture(scope="module")
@@ -172,13 +172,6 @@ def test_distances_to_triangles_of_all_sizes_are_those_of_trimesh(middle):
         assert space.is_free(point, distance * (1 - 1e-9))[0]
 
 
-def test_distances_between_plants_are_those_of_trimesh(scene, space):
-    low, high = scene.mesh.bounds
-    points = np.random.default_rng(2).uniform(low - 0.2, high + 0.2, (6, 3))
-    exact = [brute_force_distance(scene.mesh, point) for point in points]
-    np.testing.assert_allclose(space.clearance(points), exact, rtol=1e-9, atol=1e-12)
-
-
 def test_points_inside_organs_are_those_of_trimesh(scene, space):
     mesh, rng = scene.mesh, np.random.default_rng(3)
     kinds = ("fruit", "peduncle", "internode", "node", "petiole", "cut", "lamina")
@@ -212,15 +205,12 @@ def test_only_surfaces_without_a_border_have_an_inside():
 # Limits
 
 
-def test_no_lens_is_inside_an_organ(scene, lenses):
+def test_all_lenses_are_in_free_space(scene, space, lenses):
     boxes = organ_boxes(scene.mesh)
     assert not any(is_inside_organ(scene.mesh, boxes, lens) for lens in lenses)
     # The second opinion itself recognises a point inside.
     fruit = scene.skeleton.of_form("fruit")[0]
     assert is_inside_organ(scene.mesh, boxes, organ(scene.mesh, fruit).center_mass)
-
-
-def test_all_lenses_are_clear_of_surfaces(scene, space, lenses):
     assert space.clearance(lenses).min() > SETTINGS.clearance_m
     exact = [brute_force_distance(scene.mesh, lens) for lens in lenses[:6]]
     np.testing.assert_allclose(space.clearance(lenses[:6]), exact, rtol=1e-9)
@@ -256,28 +246,16 @@ def test_all_limits_of_the_pose_are_kept(scene, camera, views, lenses):
     for view in views:
         np.testing.assert_allclose(view.pose[:3, :3] @ view.pose[:3, :3].T, np.eye(3), atol=1e-12)
         assert np.linalg.det(view.pose[:3, :3]) > 0
-
-
-def test_the_target_point_is_the_centroid_of_the_surface(scene, views):
     for view in views[:5]:
-        np.testing.assert_allclose(
-            view.target_point, organ(scene.mesh, view.target_instance).centroid, atol=1e-6
-        )
+        centroid = organ(scene.mesh, view.target_instance).centroid
+        np.testing.assert_allclose(view.target_point, centroid, atol=1e-6)
 
 
 def test_views_in_empty_space_are_uniform(camera):
-    settings = RandomViews(
-        kind="random",
-        target=(0.0, 0.0, 3.0),
-        distance_m=(0.5, 2.0),
-        elevation_rad=(-1.2, 0.9),
-        azimuth_rad=(-3.0, 2.0),
-        volume_m=None,
-        roll_rad=(-0.2, 0.3),
-        offset=(0.0, 0.5),
-        clearance_m=0.02,
-        least_visibility=0.5,
-    )
+    settings = replace(
+        NEAR, target=(0.0, 0.0, 3.0), distance_m=(0.5, 2.0), elevation_rad=(-1.2, 0.9),
+        azimuth_rad=(-3.0, 2.0), roll_rad=(-0.2, 0.3), offset=(0.0, 0.5),
+    )  # fmt: skip
     scene, rng = assemble_scene(ball(centre=(50.0, 0.0, 1.0))), np.random.default_rng(0)
     space = FreeSpace(scene.mesh)
     views = [random_view(settings, scene, camera, rng, anything, space) for _ in range(300)]
@@ -298,7 +276,7 @@ def test_views_in_empty_space_are_uniform(camera):
     assert all(view.target_instance is None and view.visibility == 1.0 for view in views)
 
 
-@pytest.mark.parametrize("elevation", [-90.0, -60.0, 0.0, 30.0, 89.99, 90.0])
+@pytest.mark.parametrize("elevation", [-90.0, -60.0, 30.0, 89.99])
 def test_aimed_cameras_see_the_target_at_its_place(camera, elevation):
     rng = np.random.default_rng(0)
     elevation = np.full(200, np.radians(elevation))
@@ -331,7 +309,7 @@ def test_the_flash_is_in_free_space(scene, space, frames):
     camera = frames.resolved.camera
     settings = replace(SETTINGS, clearance_m=0.0, volume_m=None)
     rng = np.random.default_rng(0)
-    views = [random_view(settings, scene, camera, rng, anything, space) for _ in range(50)]
+    views = [random_view(settings, scene, camera, rng, anything, space) for _ in range(20)]
     flash = camera.flash
     emitters = np.column_stack([flash.emitters_m, np.zeros(len(flash.emitters_m))]) + flash.offset_m
     for view in views:
@@ -341,20 +319,16 @@ def test_the_flash_is_in_free_space(scene, space, frames):
         assert space.clearance(view.pose[:3, 3])[0] > camera.aperture_radius_m
 
 
-@pytest.mark.parametrize("name", ["ripe fruit", "unripe fruit", "fruit", "petiole", "leaf", "wire"])
-def test_targets_are_organs_of_that_name(scene, name):
+def test_targets_are_organs_of_that_name(scene):
     skeleton, instances = scene.skeleton, scene.mesh.instances
-    found = target_instances(scene, name, "test").tolist()
-    for index in found:
-        if "fruit" in name:
-            ripeness = skeleton.organ(index).measures["ripeness"]
-            assert skeleton.kind(index).form == "fruit"
-            assert name == "fruit" or (ripeness >= RIPE_FROM) == (name == "ripe fruit")
-        else:
+    for name in ("petiole", "leaf", "wire"):
+        for index in target_instances(scene, name, "test").tolist():
             assert name in (instances[index].kind, instances[index].organ_class.name.lower())
-    if name == "fruit":
-        halves = [target_instances(scene, half, "test") for half in ("ripe fruit", "unripe fruit")]
-        assert sorted(np.concatenate(halves)) == sorted(found) == list(skeleton.of_form("fruit"))
+    fruit, ripe, unripe = (
+        sorted(target_instances(scene, name, "test")) for name in ("fruit", "ripe fruit", "unripe fruit")
+    )
+    assert sorted(ripe + unripe) == fruit == list(skeleton.of_form("fruit"))
+    assert ripe == [one for one in fruit if skeleton.organ(one).measures["ripeness"] >= RIPE_FROM]
 
 
 def test_targets_are_the_same_without_the_skeleton(scene):
@@ -410,14 +384,7 @@ def refusal(settings, scene, camera, visible=anything, attempts=2000):
 )
 def test_a_view_that_is_not_possible_names_the_limit(camera, changes, reason):
     settings = replace(NEAR, clearance_m=0.01)
-    scene = assemble_scene(ball())
-    message = refusal(
-        replace(settings, **changes),
-        scene,
-        camera,
-        nothing,
-        attempts=1050,
-    )
+    message = refusal(replace(settings, **changes), assemble_scene(ball()), camera, nothing, attempts=1050)
     counts = [int(count.replace(",", "")) for count in re.findall(r"([\d,]+) (?:were|showed|could)", message)]
     assert message.startswith("mine.toml: no view found in 1,050 attempts: ")
     assert sum(counts) == 1050
@@ -428,15 +395,10 @@ def test_a_view_that_is_not_possible_names_the_limit(camera, changes, reason):
 def test_an_unknown_target_names_the_known_ones(scene, camera):
     message = refusal(replace(SETTINGS, target="banana"), scene, camera)
     assert "views.target = 'banana'" in message
+    absent = refusal(replace(NEAR, target="ripe fruit"), assemble_scene(ball()), camera)
+    assert "views.target = 'ripe fruit': must be an organ that the plants of the scene have" in absent
     for name in ("ripe fruit", "petiole", "leaf"):
         assert name in message
-
-
-def test_a_scene_without_the_target_is_refused(camera):
-    message = refusal(replace(NEAR, target="ripe fruit"), assemble_scene(ball()), camera)
-    assert message == (
-        "mine.toml: views.target = 'ripe fruit': must be an organ that the plants of the scene have"
-    )
 
 
 # Visibility
@@ -451,7 +413,7 @@ def small_camera():
     )
 
 
-@pytest.mark.parametrize("target", ["fruit", "lamina"])
+@pytest.mark.parametrize("target", ["fruit", pytest.param("lamina", marks=pytest.mark.long)])
 def test_visibility_is_the_share_of_the_pixels_that_the_organ_has_alone(scene, space, small_camera, target):
     settings = replace(
         NEAR,
@@ -463,7 +425,7 @@ def test_visibility_is_the_share_of_the_pixels_that_the_organ_has_alone(scene, s
     )
     renderer, rng, alone = Renderer(scene), np.random.default_rng(11), {}
     predicted, counted = [], []
-    for _ in range(60):
+    for _ in range(30):
         view = random_view(settings, scene, small_camera, rng, renderer.visible_points, space)
         index, posed = view.target_instance, small_camera.at_pose(view.pose)
         if index not in alone:
@@ -480,15 +442,3 @@ def test_visibility_is_the_share_of_the_pixels_that_the_organ_has_alone(scene, s
     # 256 points have a standard error of at most 0.03, and outlines of few pixels another 0.01.
     assert np.abs(difference).max() < 0.1
     assert np.abs(difference.mean()) < 0.02
-
-
-def test_views_show_as_much_of_the_target_as_required(scene, space, small_camera):
-    settings = replace(
-        NEAR, target="ripe fruit", distance_m=(0.2, 0.4), azimuth_rad=(-1.5, 1.5), least_visibility=0.8
-    )
-    renderer, rng = Renderer(scene), np.random.default_rng(4)
-    for _ in range(10):
-        view = random_view(settings, scene, small_camera, rng, renderer.visible_points, space)
-        assert view.visibility >= 0.8
-        image = renderer.render(small_camera.at_pose(view.pose), ["instance"])["instance"]
-        assert (image == view.target_instance + 1).any()

@@ -133,31 +133,20 @@ def test_a_size_reads_out_an_inherited_sensor():
     assert camera_with({"camera.hfov_deg": 60}).width == 800
 
 
-def test_numbers_replace_those_of_a_lens_file():
-    camera = camera_with({"camera.f_number": 5.6, "camera.transmittance": 0.5})
-    assert (camera.lens.f_number, camera.lens.transmittance) == (5.6, 0.5)
-    assert camera.lens.name == camera_with({}).lens.name
-
-
 FX = {**SIZE, **GENERIC, **INTRINSICS}
 INVALID = [
     ({"camera.hfov_deg": 60, **FX}, r"hfov_deg and fx contradict each other"),
     ({"camera.hfov_deg": 60, "camera.lens": "nikkor_18_55mm_at_18mm"}, r"lens and hfov_deg contradict"),
-    ({"camera.hfov_deg": 60, "camera.distortion": [0.0] * 5}, r"hfov_deg and distortion contradict"),
     ({"camera.fx": 900.0}, r"fx, fy, cx and cy must be given together; cx, cy, fy are missing"),
-    ({**FX, "camera.cy": "none"}, r"camera\.cy"),
-    ({"camera.fx": 1.0, "camera.fy": 1.0, "camera.cx": 1.0}, r"given together; cy is missing"),
     ({"camera.distortion": [0.0] * 5}, r"given together; cx, cy, fx, fy are missing"),
     ({"camera.lens": "none"}, r"lens, hfov_deg, fx with fy, cx and cy, or calibration is required"),
     ({"camera.width": 640}, r"width and height must be given together, not width alone"),
     ({**GENERIC}, r"width and height are required without a sensor"),
     ({**FX, "camera.distortion": [0.1] * 3}, r"camera\.distortion .*5 numbers k1, k2, p1, p2, k3 .*, not 3"),
-    ({**FX, "camera.distortion": [1e9] * 5}, r"camera\.distortion\.0 = 1000000000"),
     (
         {**FX, "camera.distortion_model": "equidistant", "camera.distortion": [0.1] * 5},
         r"camera\.distortion .*must be the 4 numbers k1, k2, k3, k4 of equidistant, not 5",
     ),
-    ({**FX, "camera.distortion_model": "fisheye"}, r"camera\.distortion_model = 'fisheye'"),
     ({**FX, "camera.distortion": [-2.0, 0, 0, 0, 0]}, r"camera\.distortion = .*must be invertible over"),
     ({**FX, "camera.fx": 90.0}, r"camera\.fx = 90\.0: fy = 905 must be 0\.25 to 4 times fx"),
     (
@@ -168,13 +157,11 @@ INVALID = [
         {"camera.hfov_deg": 170, **SIZE, **GENERIC},
         r"camera\.hfov_deg = 170\.0: gives .*corner at 85\.6 degrees",
     ),
-    ({"camera.hfov_deg": 171}, r"camera\.hfov_deg = 171"),
     (
         {"camera.width": 1601, "camera.height": 1200},
         r"camera\.width = 1601: an image of 1601 x 1200 .*1600 x 1200",
     ),
     ({"camera.hfov_deg": 60, "camera.width": 20000, "camera.height": 20000, **GENERIC}, r"at most 125000000"),
-    ({"camera.calibration": "no.yaml"}, r"camera\.calibration = '.*no\.yaml': cannot be read"),
 ]
 
 
@@ -198,9 +185,7 @@ def test_a_size_must_be_that_of_the_calibration(calibration):
     ("device", "size", "hfov_deg"),
     [
         ("realsense_d435_colour", (1280, 720), 69.4),
-        ("realsense_d435_colour", (1920, 1080), 69.4),
         ("realsense_d435_infrared", (1280, 800), 91.2),
-        ("realsense_d435_infrared", (1280, 720), 91.2),
         ("logitech_c920", (1280, 720), 70.42),
     ],
 )
@@ -210,13 +195,6 @@ def test_shipped_devices_have_the_published_field_of_view(device, size, hfov_deg
     assert (camera.width, camera.height) == size
     angle = 2 * np.degrees(np.arctan(camera.width / 2 / camera.intrinsics[0, 0]))
     assert angle == pytest.approx(hfov_deg, abs=0.1)
-
-
-def test_shipped_stereo_pair_has_the_published_order_and_baseline():
-    left, right = (camera.position_m for camera in load_recipe("realsense").rig)
-    # To the right of the colour camera: the left infrared camera, and 50 mm further the right one.
-    assert 0 < left[0] < right[0]
-    assert np.subtract(right, left) == pytest.approx([0.05, 0, 0])
 
 
 def test_phone_camera_has_12_megapixels_and_77_degrees():

@@ -54,12 +54,9 @@ def test_every_key_changes_the_identity(key):
     ("change", "message"),
     [
         ("row_lean_deg=21", "greenhouse.row_lean_deg = 21"),
-        ("row_lean_deg=-1", "greater than or equal to 0"),
         ("turn_sd_deg=nan", "greenhouse.turn_sd_deg"),
         ("floor=1", "greenhouse.floor"),
-        ("far_rows=1.5", "greenhouse.far_rows"),
         ("far_rows=6", "less than or equal to 5"),
-        ("aisle_mm=100", "greenhouse.aisle_mm"),
         ("roof=true", "not a known key"),
         ("gutter_height_mm=300", "needs a gutter_width_mm above 0"),
         ("gutter_width_mm=50", "at least 110"),
@@ -69,10 +66,6 @@ def test_every_key_changes_the_identity(key):
 )
 def test_rejects_invalid_greenhouse(change, message):
     assert message in error_message(f"greenhouse.{change}")
-
-
-def test_rejects_greenhouse_that_is_not_a_table():
-    assert "greenhouse" in error_message("greenhouse=true")
 
 
 def test_gutters_must_not_overlap():
@@ -128,11 +121,7 @@ def test_date_is_converted_to_a_share():
         ([UNTIL], "either share or date"),
         (["growth.share=0.5"], "growth.until: is required"),
         ([UNTIL, "growth.share=0.5", "growth.date=2016-06-01"], "either share or date"),
-        ([UNTIL, "growth.share=1.5"], "growth.share = 1.5"),
         ([UNTIL, "growth.date=2015-06-01"], "growth.date = '2015-06-01': must be between"),
-        ([UNTIL, "growth.date=2016-06-01T12:00:00"], "growth.date"),
-        ([UNTIL, "growth.date=june"], "growth.date"),
-        (["growth.until=nothing", "growth.share=0.5"], "kaite_september"),
         # Earlier than the first stage.
         (["growth.until=kaite_february", "growth.date=2016-03-01"], "must be between"),
         # Another crop has other organs.

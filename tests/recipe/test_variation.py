@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import datetime
 import gc
-import math
 import weakref
-from collections import Counter
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import chisquare, kstest, loguniform, pearsonr, uniform
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
-from pepperscene.errors import InputError
 from pepperscene.recipe.resolve.camera_views import CameraViews
 from pepperscene.recipe.resolve.frame_setups import FrameSetups, frame_values
 from pepperscene.recipe.resolve.load import load_recipe, resolve_recipe
-
-FRAMES = 600
 
 
 @pytest.fixture
@@ -32,50 +26,26 @@ def load(tmp_path):
     return write
 
 
-def drawn(recipe, key, count=FRAMES):
-    """The values of the first frames."""
-    plan, values = recipe.plan, []
-    for index in range(0, plan.count, max(1, plan.count // count)):
-        values.append(frame_values(recipe, plan.frame(index)).drawn[key])
-    return values
+def drawn(recipe, key):
+    """The values of the first 24 frames."""
+    plan = recipe.plan
+    return [frame_values(recipe, plan.frame(index)).drawn[key] for index in range(min(24, plan.count))]
 
 
-def test_numbers_have_the_stated_distribution(load):
+def test_values_have_the_type_of_their_key(load):
     recipe = load(
-        "camera.gain = { uniform = [1, 3] }\ncamera.exposure_us = { low = 10, high = 1000, scale = 'log' }\n"
-        "camera.focus_mm = { mean = 400, sd = 20 }\n"
-        "views.pitch_deg = { histogram = [[0, 1, 0.3], [1, 2, 0.7]] }"
-    )
-    assert kstest(drawn(recipe, "camera.gain"), uniform(1, 2).cdf).pvalue > 1e-3
-    assert kstest(drawn(recipe, "camera.exposure_us"), loguniform(10, 1000).cdf).pvalue > 1e-3
-    focus = np.array(drawn(recipe, "camera.focus_mm"))
-    assert abs(focus.mean() - 400) < 5 * 20 / math.sqrt(len(focus))
-    assert abs(focus.std() / 20 - 1) < 0.1
-    pitch = np.array(drawn(recipe, "views.pitch_deg"))
-    assert chisquare(np.bincount(pitch.astype(int)), len(pitch) * np.array([0.3, 0.7])).pvalue > 1e-3
-
-
-def test_integers_dates_and_outcomes_are_as_likely_as_stated(load):
-    recipe = load(
-        "camera.bits = { low = 8, high = 11 }\ndeveloping.tone = { srgb = 0.25, linear = 0.75 }\n"
-        "developing.falloff = { true = 0.9, false = 0.1 }\ncamera.exposure_us = { auto = 0.5, 50 = 0.5 }\n"
-        "cultivar = 'kaite'\n[growth]\nuntil = 'kaite_september'\n"
-        "date = { low = 2016-05-01, high = 2016-05-03, per = 'frame' }"
+        "camera.exposure_us = { auto = 0.5, 50 = 0.5 }\ndeveloping.falloff = { true = 0.5, false = 0.5 }\n"
+        "camera.bits = { low = 8, high = 9 }\ncultivar = 'kaite'\n[growth]\nuntil = 'kaite_september'\n"
+        "date = { low = 2016-05-01, high = 2016-05-02, per = 'frame' }"
     )
     expected = {
-        "camera.bits": {8: 0.25, 9: 0.25, 10: 0.25, 11: 0.25},
-        "developing.tone": {"srgb": 0.25, "linear": 0.75},
-        "developing.falloff": {True: 0.9, False: 0.1},
-        "camera.exposure_us": {"auto": 0.5, 50.0: 0.5},
-        "growth.date": {f"2016-05-0{day}": 1 / 3 for day in (1, 2, 3)},
-    }
-    for key, chances in expected.items():
-        counts = Counter(drawn(recipe, key))
-        assert set(counts) == set(chances)
-        total = sum(counts.values())
-        observed = [counts[value] for value in chances]
-        assert chisquare(observed, [total * chance for chance in chances.values()]).pvalue > 1e-3
-    assert frame_values(recipe, recipe.plan.frame(0)).recipe.growth.date >= datetime.date(2016, 5, 1)
+        "camera.exposure_us": ["auto", 50.0], "developing.falloff": [False, True], "camera.bits": [8, 9],
+        "growth.date": ["2016-05-01", "2016-05-02"],
+    }  # fmt: skip
+    for key, values in expected.items():
+        assert sorted(set(drawn(recipe, key)), key=str) == sorted(values, key=str)
+    first = frame_values(recipe, recipe.plan.frame(0)).recipe
+    assert isinstance(first.growth.date, datetime.date)
 
 
 def test_limits_of_a_logarithmic_scale_are_exact(load):
@@ -83,15 +53,6 @@ def test_limits_of_a_logarithmic_scale_are_exact(load):
     for high in (10_000, 1_000_000, 999_999, 3, 70_001):
         recipe = load(f"camera.exposure_us = {{ low = 1, high = {high}, scale = 'log' }}")
         assert recipe.variation[0].extremes == (1.0, float(high))
-
-
-@pytest.mark.parametrize(("per", "distinct"), [("set", 2), ("scene", 6), ("frame", 24)])
-def test_a_value_is_drawn_for_each_set_scene_or_frame(load, per, distinct):
-    recipe = load(
-        f"camera.gain = {{ low = 1, high = 2, per = '{per}' }}\n"
-        f"plan = {{ sets = 2, rotations = 3, frames = 4 }}"
-    )
-    assert len(set(drawn(recipe, "camera.gain"))) == distinct
 
 
 def test_values_of_plants_differ_between_sets_and_others_between_frames_by_default(load):
@@ -112,28 +73,6 @@ def test_values_in_turn_follow_their_number(load):
     assert drawn(recipe, "daylight.sun_azimuth_deg") == [60] * 6 + [-120] * 6
 
 
-def test_shared_draws_rise_together_and_reversed_ones_fall(load):
-    recipe = load(
-        "camera.gain = { low = 1, high = 2, draw = 'a' }\n"
-        "views.pitch_deg = { mean = 0, sd = 5, draw = 'a' }\n"
-        "daylight.cloud_cover = { low = 0, high = 1, draw = 'a', reversed = true }\n"
-        "daylight.sun_fraction = { low = 0.1, high = 0.5 }"
-    )
-    gain, pitch, cloud, sun = (
-        np.array(drawn(recipe, key, 300))
-        for key in ("camera.gain", "views.pitch_deg", "daylight.cloud_cover", "daylight.sun_fraction")
-    )
-    assert (np.argsort(gain) == np.argsort(pitch)).all()
-    np.testing.assert_allclose(cloud, 2.0 - gain, atol=1e-12)
-    assert abs(pearsonr(gain, sun).statistic) < 0.25
-
-
-def test_another_distribution_leaves_other_draws_as_they_were(load):
-    text = "camera.gain = {{ low = 1, high = {} }}\ndaylight.cloud_cover = {{ low = 0, high = 1 }}"
-    first, second = load(text.format(2)), load(text.format(3))
-    assert drawn(first, "daylight.cloud_cover", 50) == drawn(second, "daylight.cloud_cover", 50)
-
-
 def test_values_in_lists_vary_and_the_others_stay(load):
     recipe = load("developing.white_balance_error = [{ low = 0.9, high = 1.1 }, 1, { in_turn = [0.8, 1.2] }]")
     errors = [
@@ -144,18 +83,27 @@ def test_values_in_lists_vary_and_the_others_stay(load):
     assert [blue for _, _, blue in errors] == [0.8, 1.2] * 10
 
 
-def test_values_of_the_cultivar_vary(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        'extends = "barth2018"\n[override.organs.fruit.diameter]\n'
+@pytest.fixture
+def cultivars(tmp_path):
+    """The set-ups of the six sets of a recipe with other values of its cultivar."""
+
+    def make(text):
+        path = tmp_path / "mine.toml"
+        path.write_text(f'extends = "barth2018"\n{text}')
+        resolved = resolve_recipe(path)
+        setups = FrameSetups(resolved)
+        return [setups.at(resolved.recipe.plan.frame(number * 7 * 250)) for number in range(6)]
+
+    return make
+
+
+def test_values_of_the_cultivar_vary(cultivars):
+    for setup in cultivars(
+        "[override.organs.fruit.diameter]\n"
         'mean_mm = { low = 60, high = 80, per = "set" }\n'
         'sd_mm = 4\nchosen = "x"\n[override.stem]\nparts = { low = 10, high = 12, per = "set" }\n'
         '[override.organs.fruit.ripe_fraction]\nvalue = 0.5\nchosen = "x"\n'
-    )
-    resolved = resolve_recipe(path)
-    setups = FrameSetups(resolved)
-    for set_index in range(6):
-        setup = setups.at(resolved.recipe.plan.frame(set_index * 7 * 250))
+    ):
         diameter = setup.cultivar.organs["fruit"].distributions["diameter"]
         mean_mm = setup.drawn["override.organs.fruit.diameter.mean_mm"]
         assert diameter.mean == pytest.approx(mean_mm / 1e3)
@@ -164,33 +112,23 @@ def test_values_of_the_cultivar_vary(tmp_path):
         assert setup.cultivar.stem.parts in (10, 11, 12)
 
 
-def test_values_in_lists_of_the_cultivar_vary(tmp_path):
+def test_values_in_lists_of_the_cultivar_vary(cultivars):
     """The bins of a histogram, whose weights keep their sum, and a limit."""
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        'extends = "barth2018"\n[override.organs.lamina]\n'
+    highs = set()
+    for setup in cultivars(
+        "[override.organs.lamina]\n"
         'residue = { uniform = [0, { low = 0.1, high = 0.5, per = "set" }], chosen = "x" }\n'
         "ageing = { histogram = [\n"
         '    [0, 0, { low = 0.5, high = 1, per = "set", draw = "age" }],\n'
         '    [0.1, 0.3, { low = 0, high = 0.5, per = "set", draw = "age", reversed = true }],\n'
         '], chosen = "x" }\n'
-    )
-    resolved = resolve_recipe(path)
-    setups = FrameSetups(resolved)
-    highs = set()
-    for set_index in range(6):
-        setup = setups.at(resolved.recipe.plan.frame(set_index * 7 * 250))
+    ):
         lamina = setup.cultivar.organs["lamina"].distributions
         highs.add(lamina["residue"].high)
         assert lamina["residue"].high == setup.drawn["override.organs.lamina.residue.uniform.1"]
         healthy = setup.drawn["override.organs.lamina.ageing.histogram.0.2"]
         assert lamina["ageing"].bins[0] == pytest.approx((0.0, 0.0, healthy))
     assert len(highs) == 6
-
-
-def test_bins_of_a_varied_value_ascend(load):
-    with pytest.raises(InputError, match="each bin of the histogram must ascend"):
-        load("views.pitch_deg = { histogram = [[0, 0, 0.3], [1, 2, 0.7]] }")
 
 
 TWINS = (
@@ -259,10 +197,16 @@ def rig_views(recipe):
     return CameraViews(FrameSetups(resolve_recipe(recipe, allow_code=True)))
 
 
-def test_a_camera_of_the_rig_has_the_place_and_axes_that_scipy_gives(load):
+@pytest.fixture
+def rig(load):
+    """The main camera and that of the rig, at two moments."""
     recipe = load(RIG)
     views = rig_views(recipe)
-    main, other = (views.camera(recipe.plan.frame(index)) for index in (4, 5))
+    return [[views.camera(recipe.plan.frame(2 * moment + n)) for n in range(2)] for moment in (1, 2)]
+
+
+def test_a_camera_of_the_rig_has_the_place_and_axes_that_scipy_gives(rig):
+    main, other = rig[1]
     expected = np.eye(4)
     # To the right about the down axis, upwards about the right axis, clockwise about the optical axis.
     turned = Rotation.from_rotvec(np.radians(10) * np.array([0.0, 1.0, 0.0]))
@@ -276,13 +220,7 @@ def test_a_camera_of_the_rig_has_the_place_and_axes_that_scipy_gives(load):
     right, down, forward = expected[:3, 2]
     assert right > 0 > down
     assert forward > 0
-
-
-def test_the_flash_stays_at_the_main_camera(load):
-    recipe = load(RIG)
-    views = rig_views(recipe)
-    main, other = (views.camera(recipe.plan.frame(index)) for index in (0, 1))
-    # Emitters in the world, from the axes of each camera.
+    # The flash stays at the main camera: emitters in the world, from the axes of each camera.
     places = [
         camera.flash.emitter_positions() @ camera.pose[:3, :3].T + camera.pose[:3, 3]
         for camera in (main, other)
@@ -290,10 +228,8 @@ def test_the_flash_stays_at_the_main_camera(load):
     np.testing.assert_allclose(places[0], places[1], atol=1e-12)
 
 
-def test_a_camera_of_the_rig_moves_with_the_main_camera(load):
-    recipe = load(RIG)
-    views = rig_views(recipe)
-    main, other = (views.camera(recipe.plan.frame(index)) for index in (2, 3))
+def test_a_camera_of_the_rig_moves_with_the_main_camera(rig):
+    main, other = rig[0]
     extrinsics = np.linalg.inv(main.pose) @ other.pose
     step_s = 1e-4
     moved = [camera.motion.pose_at(camera.pose, step_s) for camera in (main, other)]
@@ -380,12 +316,6 @@ def test_other_frames_drop_an_inherited_selection(tmp_path, text, changes, kept)
     assert len(indices) == (len(recipe.plan.select) if kept else recipe.plan.count)
 
 
-def test_a_camera_of_the_rig_with_another_lens_replaces_the_main_one(load):
-    recipe = load("[[rig]]\nname = 'wide'\nhfov_deg = 80\nwidth = 64\nheight = 48\nsensor = 'generic_rgb'")
-    camera = rig_views(recipe).camera(recipe.plan.frame(1))
-    assert camera.intrinsics[0, 0] == pytest.approx(32 / math.tan(math.radians(40)))
-
-
 def test_files_that_outcomes_twins_and_rigs_name_are_beside_the_recipe(tmp_path):
     from pepperscene.shipped import shipped_folder
 
@@ -416,3 +346,9 @@ def test_the_shipped_randomised_recipe_has_a_valid_recipe_for_every_set():
     plan = renderer.recipe.plan
     for index in range(0, plan.count, plan.frames):
         assert renderer.setups.at(plan.frame(index)).camera.width == 800
+
+
+def test_a_camera_of_the_rig_with_another_lens_replaces_the_main_one(load):
+    recipe = load("[[rig]]\nname = 'wide'\nhfov_deg = 80\nwidth = 64\nheight = 48\nsensor = 'generic_rgb'")
+    camera = rig_views(recipe).camera(recipe.plan.frame(1))
+    assert camera.intrinsics[0, 0] == pytest.approx(32 / np.tan(np.radians(40)))

@@ -31,27 +31,21 @@ def test_shipped_covers_match_product_specifications(name, light, haze):
     assert haze[0] <= cover.haze <= haze[1]
 
 
-def test_no_cover_exceeds_the_transmittance_of_its_two_faces():
-    # Fresnel, with all reflections between the faces: 2 n / (n^2 + 1).
-    for name, index in zip(SHIPPED, (1.505, 1.505, 1.51), strict=True):
-        assert load_cover(name).transmittance.values.max() < 2 * index / (index**2 + 1)
-
-
-@pytest.mark.parametrize(("name", "half_nm"), [*zip(SHIPPED, (335, 320, 375), strict=True)])
-def test_covers_block_ultraviolet(name, half_nm):
+@pytest.mark.parametrize(
+    # The infrared is relative to green: iron darkens glass but not film.
+    ("name", "half_nm", "index", "infrared"),
+    [(SHIPPED[0], 335, 1.505, 0.85), (SHIPPED[1], 320, 1.505, 0.98), (SHIPPED[2], 375, 1.51, 1.05)],
+)
+def test_spectra_of_covers_are_those_of_their_materials(name, half_nm, index, infrared):
     transmittance = load_cover(name).transmittance
     assert transmittance.range_nm == (300, 1100)
     dark, below, above, visible = transmittance.at([300, half_nm - 15, half_nm + 15, 420])
     assert dark < 0.01
     assert below < 0.5 * visible < above
-
-
-def test_iron_darkens_glass_in_the_infrared_but_not_film():
-    clear, low_iron, film = (load_cover(name).transmittance for name in SHIPPED)
-    for cover, ratio in ((clear, 0.85), (low_iron, 0.98), (film, 1.05)):
-        assert cover.at([1000])[0] / cover.at([550])[0] < ratio
-    assert clear.at([1000])[0] < low_iron.at([1000])[0] - 0.1
-    assert film.at([1000])[0] > film.at([550])[0]
+    green, far = transmittance.at([550, 1000])
+    assert infrared - 0.14 < far / green < infrared
+    # Fresnel, with all reflections between the faces: 2 n / (n^2 + 1).
+    assert transmittance.values.max() < 2 * index / (index**2 + 1)
 
 
 def test_glass_follows_from_its_optical_constants():
@@ -102,15 +96,11 @@ def test_loads_a_user_file_and_holds_its_end_values(tmp_path):
     ("old", "new", "message"),
     [
         ("haze = 0.4", "haze = 1.2", "haze = 1.2"),
-        ("haze = 0.4", "haze = -0.1", "haze = -0.1"),
         ("haze_width_deg = 15", "haze_width_deg = 0.5", "haze_width_deg = 0.5"),
         ("haze_width_deg = 15", "haze_width_deg = 120", "haze_width_deg = 120"),
         ("haze_width_deg = 15\n", "", "haze_width_deg"),
         ('kind = "MODEL"', 'kind = "guess"', "kind"),
-        ('kind = "MODEL"\n', "", "kind"),
-        ("haze = 0.4", "haze = 0.4\ncolour = 3", "colour"),
         ('transmittance = "chosen"\n', "", r"\[sources\].*transmittance"),
-        ('haze_width_deg = "chosen"\n', "", r"\[sources\].*haze_width_deg"),
         ('file = "cover.csv"', 'file = "none.csv"', "none.csv.*is not a file"),
         ('column = "transmittance"', 'column = "tau"', "tau.*is not one of transmittance"),
     ],
@@ -130,7 +120,6 @@ def test_raises_on_invalid_file(tmp_path, old, new, message):
         ("400,-0.1\n700,0.9\n", "row 2, column transmittance = -0.1"),
         ("400,0\n700,0\n", "must let visible light through"),
         ("400,1e-5\n790,1e-5\n800,0.9\n", "must let visible light through: 1.06e-05 of it passes"),
-        ("400,0.5\n700,nan\n", "must be a finite number"),
     ],
 )
 def test_raises_on_invalid_curve(tmp_path, rows, message):
@@ -138,22 +127,15 @@ def test_raises_on_invalid_curve(tmp_path, rows, message):
         load_cover(write_cover(tmp_path, csv="wavelength_nm,transmittance\n" + rows))
 
 
-def test_unknown_name_lists_shipped_covers():
-    with pytest.raises(InputError, match="diffuse_glass_4mm, float_glass_4mm, polyethylene_film"):
-        load_cover("thatch")
-
-
 @pytest.mark.parametrize(
     ("values", "haze", "width", "message"),
     [
         ([0.5, 1.5], 0.0, 0.0, "transmittance"),
-        ([-0.5, 0.5], 0.0, 0.0, "transmittance"),
         ([0.0, 0.0], 0.0, 0.0, "visible"),
         ([[0.5, 0.5]], 0.0, 0.0, "one curve"),
         ([0.5, 0.5], 1.5, 0.3, "haze"),
         ([0.5, 0.5], float("nan"), 0.3, "haze"),
         ([0.5, 0.5], 0.5, 0.0, "haze_width_rad"),
-        ([0.5, 0.5], 0.5, float("nan"), "haze_width_rad"),
     ],
 )
 def test_cover_raises_on_values_out_of_range(values, haze, width, message):
@@ -225,10 +207,3 @@ def test_lobe_has_the_given_width(width_deg):
     energy = haze.lobe(towards, np.array([0.0, 0.0, 1.0])) * projected(rows, columns)
     mean_square = (energy * np.arccos(towards[..., 2]) ** 2).sum() / energy.sum()
     assert np.degrees(np.sqrt(mean_square / 2.0)) == pytest.approx(width_deg, rel=0.03)
-
-
-def test_scattering_is_independent_of_azimuth():
-    haze = haze_of(WIDTHS[1])
-    radiance = np.random.default_rng(0).random((1, ROWS, COLUMNS))
-    rolled = np.roll(haze.scatter(radiance), 31, axis=2)
-    np.testing.assert_allclose(haze.scatter(np.roll(radiance, 31, axis=2)), rolled, rtol=1e-9, atol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 
 from pepperscene.classes import IGNORE_CLASS, Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
-from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
+from pepperscene.geometry import concatenate_meshes, mesh_plant, sphere
 from pepperscene.grammar import grow
 from pepperscene.scene import DoubleRow, Greenhouse, coarsen_plant, draw_far_rows, far_row_meshes, far_rows
 from pepperscene.scene.culling import mesh_chunks
@@ -82,12 +82,6 @@ def test_scanned_colours_follow_their_vertices(plant):
         np.testing.assert_allclose(mesh.colour[:, 0], mesh.vertices[:, 2], atol=1e-6)
 
 
-def test_coarsening_raises_if_no_organ_is_left():
-    wire = rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), "twine", OrganClass.WIRE)
-    with pytest.raises(ValueError, match="no organ"):
-        coarsen_plant(wire)
-
-
 def test_rows_are_regular_and_leave_labelled_positions_free():
     lines, meshes = row_lines(ROW, GREENHOUSE), rows([ball(0.01)])
     assert len(meshes) == len(lines)
@@ -109,11 +103,15 @@ def test_rows_are_regular_and_leave_labelled_positions_free():
             np.testing.assert_allclose(steps, 1, atol=1e-4)
 
 
-def test_as_background_each_row_is_one_background_instance(coarse):
-    for mesh in rows([coarse, coarse], greenhouse=AS_BACKGROUND):
+@pytest.mark.parametrize(
+    ("greenhouse", "class_id"), [(AS_BACKGROUND, OrganClass.BACKGROUND), (AS_IGNORED, IGNORE_CLASS)]
+)
+def test_rows_without_labels_are_one_instance_each(coarse, greenhouse, class_id):
+    for number, mesh in enumerate(rows([coarse, coarse], greenhouse=greenhouse)):
         (instance,) = mesh.instances
-        assert (instance.organ_class, instance.kind, instance.plant) == (OrganClass.BACKGROUND, "far_row", -1)
-        assert set(mesh.face_class) == {OrganClass.BACKGROUND}
+        assert (instance.kind, instance.plant, instance.far_row) == ("far_row", -1, number)
+        assert instance.class_id == class_id
+        assert set(mesh.face_class) == {class_id}
         assert mesh.faces.max() == len(mesh.vertices) - 1
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-4)
 
@@ -127,26 +125,6 @@ def test_rows_lean_to_their_own_aisle():
         # Plants are rotated by less than 30 degrees either way.
         assert offset.min() > 0.1 * np.cos(np.radians(30)) - 0.021
         assert offset.max() <= 0.1 + 0.021
-
-
-def test_no_meshes_without_far_rows():
-    assert rows([ball(0.01)], 0, replace(GREENHOUSE, far_rows=0)) == []
-
-
-def test_rows_depend_on_the_seed_only(coarse):
-    first, again, other = (concatenate_meshes(rows([coarse, ball(0.1)], seed)) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first.vertices, again.vertices)
-    np.testing.assert_array_equal(first.faces, again.faces)
-    assert first.vertices.shape != other.vertices.shape or (first.vertices != other.vertices).any()
-
-
-def test_as_ignored_each_row_is_one_instance_of_no_class(coarse):
-    meshes = rows([coarse, coarse], greenhouse=AS_IGNORED)
-    for number, mesh in enumerate(meshes):
-        (instance,) = mesh.instances
-        assert (instance.kind, instance.plant, instance.far_row) == ("far_row", -1, number)
-        assert instance.class_id == IGNORE_CLASS
-        assert set(mesh.face_class) == {IGNORE_CLASS}
 
 
 def test_how_rows_are_labelled_moves_no_triangle_and_culls_none(coarse):

@@ -15,6 +15,7 @@ from pepperscene.geometry import JointRotation, concatenate_meshes, mesh_plant, 
 from pepperscene.grammar import grow
 from pepperscene.materials import lambertian_surface
 from pepperscene.recipe.resolve.load import load_recipe
+from pepperscene.recipe.views.free_space import winding_number
 from pepperscene.scene import Scene, Skeleton, assemble_scene, build_skeleton
 
 MESH = concatenate_meshes(
@@ -32,12 +33,6 @@ def test_surfaces_are_in_the_order_of_the_mesh():
     assert scene.surfaces == (LEAF, FRUIT)
     names = [scene.surfaces[number].name for number in scene.mesh.face_surface[::2]]
     assert names == ["leaf", "fruit", "leaf"]
-
-
-def test_scene_for_labels_needs_no_surfaces():
-    scene = assemble_scene(MESH)
-    assert scene.surfaces == ()
-    assert scene.sky is None
 
 
 def test_raises_on_missing_or_mismatched_surfaces():
@@ -70,18 +65,9 @@ def points_along(curve, fractions):
     return curve[low] + (position - low)[:, None] * (curve[low + 1] - curve[low])
 
 
-def winding_numbers(points, mesh, instance):
-    """`(n,)` how often an instance's surface encloses each point: the sum of its triangles' solid angles."""
-    corners = mesh.vertices[mesh.faces[mesh.face_instance == instance]].astype(float)
-    a, b, c = np.moveaxis(corners[None] - points[:, None, None], 2, 0)
-    la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
-    ab, bc, ca = (np.einsum("nfi,nfi->nf", x, y) for x, y in ((a, b), (b, c), (c, a)))
-    volume = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
-    return np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum(axis=1) / (2.0 * np.pi)
-
-
 @pytest.mark.parametrize(("form", "fractions"), [("peduncle", [0.1, 0.4, 0.9]), ("fruit", [0.3, 0.5])])
 def test_centrelines_are_inside_their_bodies(planted, form, fractions):
+    assert planted.skeleton.motions  # without them the test would prove little
     instances = planted.skeleton.of_form(form)
     if form == "peduncle":
         # Only those that bear fruit; a truss has few rings for its length, and its body cuts corners.
@@ -92,16 +78,9 @@ def test_centrelines_are_inside_their_bodies(planted, form, fractions):
         assert (organ.kind, organ.phytomer, organ.parent) == (
             instance.kind, instance.phytomer, instance.parent,
         )  # fmt: skip
-        enclosed = winding_numbers(points_along(organ.curve, fractions), planted.mesh, number)
-        assert enclosed == pytest.approx(1.0, abs=1e-3)
-
-
-def test_row_has_motions_and_leans(planted):
-    # Otherwise the test above would prove little.
-    assert planted.skeleton.motions
-    stems = planted.skeleton.of_form("internode", plant=0)
-    first, last = (planted.skeleton.organ(stems[end]).curve for end in (0, -1))
-    assert np.linalg.norm(last[-1, :2] - first[0, :2]) > 0.01
+        corners = planted.mesh.vertices[planted.mesh.faces[planted.mesh.face_instance == number]]
+        for point in points_along(organ.curve, fractions):
+            assert winding_number(point, corners.astype(float)) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_skeleton_holds_exactly_the_plants_organs(planted):
@@ -153,10 +132,3 @@ def test_skeleton_can_be_pickled(planted):
     copy = pickle.loads(pickle.dumps(planted.skeleton))
     for instance in planted.skeleton.of_form("fruit")[:3]:
         np.testing.assert_array_equal(copy.organ(instance).curve, planted.skeleton.organ(instance).curve)
-
-
-def test_skeleton_raises_on_inconsistent_sizes(plant):
-    with pytest.raises(ValueError, match="equally many"):
-        Skeleton((plant,), (), np.zeros((1, 3)), np.zeros(1))
-    with pytest.raises(ValueError, match="does not hold"):
-        Skeleton((plant,), (3,), np.zeros((1, 3)), np.zeros(1))

@@ -61,11 +61,6 @@ def test_rows_are_even_and_centred_on_the_front_rows_middle_plant(front, back):
         np.testing.assert_allclose(moves[front + back // 2, 0], SHIFT, atol=1e-6)
 
 
-def test_shift_of_half_a_spacing_fills_the_gaps():
-    x = offsets(placed(7, 6), seedlings(13))[:, 0]
-    np.testing.assert_allclose(x[7:], (x[:6] + x[1:7]) / 2, atol=1e-6)
-
-
 def test_placing_changes_only_positions_and_instance_numbers():
     plants, row = seedlings(3), placed(2, 1)
     for name in ("normals", "uv", "state"):
@@ -78,19 +73,6 @@ def test_placing_changes_only_positions_and_instance_numbers():
     assert [item.parent for item in row.instances] == [-1, 0, -1, 2, -1, 4]
     # Two faces to a rectangle, in the plants' order.
     np.testing.assert_array_equal(row.face_instance, np.repeat(np.arange(6), 2))
-
-
-def test_input_meshes_are_not_modified():
-    plants = seedlings(3)
-    before = plants[0].vertices.copy()
-    double_row(plants[:2], plants[2:], spacing_m=SPACING, gap_m=GAP, shift_m=SHIFT)
-    np.testing.assert_array_equal(plants[0].vertices, before)
-    assert {item.plant for item in plants[0].instances} == {-1}
-
-
-def test_raises_without_plants():
-    with pytest.raises(ValueError, match="at least one"):
-        double_row([], [], spacing_m=SPACING, gap_m=GAP, shift_m=SHIFT)
 
 
 def test_plants_rotate_about_their_own_axes():
@@ -192,11 +174,6 @@ def test_twine_is_tied_to_the_wire(plant, mesh, internode_points, tied, height):
     low, loose = last[2] - 0.3, np.concatenate([twine_vertices(tied), tied.vertices[faces].mean(axis=1)])
     gaps = cKDTree(loose[loose[:, 2] < low]).query(twine[twine[:, 2] < low - 0.1])[0]
     assert gaps.max() < 0.01
-
-
-def test_raises_on_a_wire_below_the_stem(plant, mesh):
-    with pytest.raises(ValueError, match="above the stem's base"):
-        add_twine(plant, mesh, TWINE, np.random.default_rng(0), wire=(0.0, 0.0, 0.0))
 
 
 def test_twine_depends_on_the_seed(plant, mesh, tied):
