@@ -210,26 +210,16 @@ def test_encrypted_scheduler_with_configured_credentials(build_small, tmp_path, 
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     configured = {f"distributed.comm.tls.{name}": str(tmp_path / name) for name in files}
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 50}
     with (
-        distributed.LocalCluster(
-            n_workers=1,
-            threads_per_worker=1,
-            dashboard_address=":0",
-            silence_logs=50,
-            security=credentials,
-            protocol="tls://",
-        ) as cluster,
+        distributed.LocalCluster(security=credentials, protocol="tls://", **options) as cluster,
         dask.config.set(configured),
     ):
         notices = []
         result = build_small(scheduler=cluster.scheduler_address, frames="0:2", on_notice=notices.append)
         # Nobody connects without the key.
+        others = distributed.Security.temporary()
         with pytest.raises(OSError, match=r"certificate verify failed|TLS|SSL"):
-            distributed.Client(
-                cluster.scheduler_address,
-                timeout=1,
-                set_as_default=False,
-                security=distributed.Security.temporary(),
-            )
+            distributed.Client(cluster.scheduler_address, timeout=1, set_as_default=False, security=others)
     assert cluster.scheduler_address.startswith("tls://")
     assert (len(result.made), notices) == (2, [])

@@ -41,32 +41,22 @@ def test_frames_of_a_scene_share_its_renderer_and_differ_in_seed(
     assert seeds == [expected[:4], expected[4:]]
 
 
-def test_albedo_needs_surfaces_and_masks_of_whole_organs_do_not(renderer, recipe, fake_renderer):
-    for output in ("amodal", "albedo"):
-        renderer.render(recipe.plan.frame(0), [output], "draft")
-    masks, albedo = fake_renderer.created
-    assert masks.scene.surfaces == ()
-    assert {surface.name for surface in albedo.scene.surfaces} == set(albedo.scene.mesh.surfaces)
-
-
-def test_labels_need_no_surfaces_and_no_sky(renderer, recipe, fake_renderer):
+def test_scenes_have_what_their_outputs_and_recipe_need(renderer, recipe, fake_renderer):
     spec = recipe.plan.frame(0)
-    for outputs in (LABELS, ("colour",), LABELS):
+    for outputs in (LABELS, ("amodal",), ("albedo",), ("colour",), LABELS):
         renderer.render(spec, outputs)
-    labels, traced = fake_renderer.created
+    labels, traced = fake_renderer.created[0], fake_renderer.created[-1]
     assert (labels.scene.surfaces, labels.scene.sky) == ((), None)
+    assert len(labels.calls) == 2
     assert {surface.name for surface in traced.scene.surfaces} == set(traced.scene.mesh.surfaces)
     assert traced.scene.sky is not None
     # A renderer that traces light renders labels as well.
-    assert len(traced.calls) == 2
-
-
-def test_scene_has_sky_and_twine_only_if_the_recipe_has(renderer, recipe):
-    spec = recipe.plan.frame(0)
+    assert traced.calls[-1].outputs == LABELS
+    assert all(one.scene.surfaces for one in fake_renderer.created[1:])
     bare = FrameRenderer(recipe.model_copy(update={"daylight": None, "twine": None})).scene(spec)
     assert bare.sky is None
     assert "twine" not in {instance.kind for instance in bare.mesh.instances}
-    assert "twine" in {instance.kind for instance in renderer.scene(spec).mesh.instances}
+    assert "twine" in {instance.kind for instance in traced.scene.mesh.instances}
 
 
 def test_each_set_has_its_own_clouds(renderer, recipe):
@@ -102,16 +92,6 @@ def test_statistics_are_those_of_the_frames_scene_in_any_order(three_plants, fak
         statistics = expected[last if index > 1 else 0].statistics
         assert {key: metadata[key] for key in statistics} == statistics, index
         renderer.scene(plan.frame(other), traced=False)
-
-
-def test_camera_follows_the_arc(renderer, recipe):
-    poses = np.array([renderer.camera(recipe.plan.frame(step)).pose for step in range(4)])
-    x, y, z = poses[:, :3, 3].T
-    np.testing.assert_allclose(np.hypot(x, y), 0.4)
-    np.testing.assert_allclose(z, np.linspace(0.9, 2.1, 4))
-    np.testing.assert_allclose(np.degrees(np.arctan2(x, -y)), np.linspace(-45, 45, 4))
-    # The pitch is 20 degrees upwards.
-    np.testing.assert_allclose(poses[:, 2, 2], np.sin(np.radians(20)))
 
 
 def renderer_with(changes):
@@ -180,17 +160,14 @@ def test_partner_is_one_baseline_to_the_right_and_shares_the_flash(recipe):
         assert getattr(partner, name) == getattr(camera, name)
     flashes = [rotation @ np.array(one.flash.offset_m) + one.pose[:3, 3] for one in (camera, partner)]
     np.testing.assert_allclose(flashes[1], flashes[0], atol=1e-12)
-
-
-def test_partner_has_no_flash_if_the_camera_has_none(recipe):
-    camera = replace(recipe.camera, flash="none")
+    dark = replace(recipe.camera, flash="none")
     developing = replace(recipe.developing, white_balance="daylight")
-    views = FrameRenderer(recipe.model_copy(update={"camera": camera, "developing": developing})).views
-    assert views.partners(recipe.plan.frame(0), ["colour_stereo"]).stereo.flash is None
+    views = FrameRenderer(recipe.model_copy(update={"camera": dark, "developing": developing})).views
+    assert views.partners(spec, ["colour_stereo"]).stereo.flash is None
 
 
-@pytest.mark.parametrize("name", ["stereo", "colour_stereo"])
-def test_stereo_outputs_need_a_baseline(without_partner, fake_renderer, empty_scenes, tmp_path, name):
+def test_stereo_outputs_need_a_baseline(without_partner, fake_renderer, empty_scenes, tmp_path):
+    name = "colour_stereo"
     with pytest.raises(InputError, match=rf"small: camera\.baseline_mm: is required .*{name}"):
         FrameRenderer(without_partner, fake_renderer).render(without_partner.plan.frame(0), ("class", name))
     options = BuildOptions(renderer=fake_renderer)
@@ -199,20 +176,14 @@ def test_stereo_outputs_need_a_baseline(without_partner, fake_renderer, empty_sc
     assert not (tmp_path / "set").exists()
 
 
-def test_frustums_without_partner_are_those_of_the_path(without_partner):
-    views = FrameRenderer(without_partner).views
-    specs = [without_partner.plan.frame(step) for step in range(without_partner.plan.frames)]
-    frustums = views.frustums(specs)
-    expected = view_frustums(views.camera(specs[0]), [views.camera(spec).pose for spec in specs])
-    for name in ("normals", "offsets", "positions"):
-        np.testing.assert_array_equal(getattr(frustums, name), getattr(expected, name))
-
-
-def test_frustums_include_the_partner(recipe):
+def test_frustums_include_the_partner(recipe, without_partner):
     views = FrameRenderer(recipe).views
     half_extent = np.full((1, 3), 1e-3, np.float32)
     specs = [recipe.plan.frame(step) for step in range(recipe.plan.frames)]
     frustums = views.frustums(specs)
+    own = view_frustums(views.camera(specs[0]), [views.camera(spec).pose for spec in specs])
+    alone = FrameRenderer(without_partner).views.frustums(specs)
+    np.testing.assert_array_equal(alone.positions, own.positions)
     for spec in specs:
         partner = replace(views.partners(spec, ["stereo"]).stereo, focus_m=None)
         for slope in partner.ray_slopes()[[1, 1, -2, -2], [1, -2, 1, -2]]:

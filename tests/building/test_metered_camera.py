@@ -8,6 +8,7 @@ import pytest
 from pepperscene import FrameRenderer, load_recipe, render_scene
 from pepperscene.errors import InputError
 from pepperscene.recipe.plan import frame_seed
+from pepperscene.tuning.target import TuningTarget
 
 CHANGES = {
     "row.plants_front": 1,
@@ -37,13 +38,11 @@ def test_camera_of_a_frame_has_its_metered_exposure(renderer):
 
 
 def test_camera_without_photographs_is_not_metered(renderer):
-    spec = renderer.recipe.plan.frame(126)
+    spec = renderer.recipe.plan.frame(125)
     untraced = renderer.camera(spec, traced=False)
     assert np.array_equal(untraced.pose, renderer.camera(spec, "draft").pose)
 
 
 def test_colours_are_not_tuned_at_an_unknown_exposure():
-    from pepperscene.tuning.target import TuningTarget
-
     with pytest.raises(InputError, match=r"camera\.exposure_us = 'auto': must be a time"):
         TuningTarget(load_recipe("barth2018", CHANGES), None)

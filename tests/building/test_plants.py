@@ -70,17 +70,10 @@ def test_default_stage_is_half_way(february):
     grown = grow_plant("kaite_february", 2, detail=0.05, until="kaite")
     np.testing.assert_array_equal(grown.mesh.vertices, vertices(middle, 2, detail=0.05))
     assert len(grown.plant.of_form("internode")) == middle.stem.parts
-
-
-def test_height_between_two_stages_is_between_theirs():
-    def height(cultivar, **stage):
-        return np.ptp(vertices(cultivar, 5, detail=0.3, **stage)[:, 2])
-
-    first, last = height("kaite"), height("kaite_september")
-    shares = {share: height("kaite", until="kaite_september", share=share) for share in (0.0, 0.5, 1.0)}
-    assert shares[0.0] == pytest.approx(first, abs=0.02)
-    assert shares[1.0] == pytest.approx(last, abs=0.02)
-    assert first <= shares[0.5] <= last
+    # The share counts from the first stage.
+    quarter = grow_plant("kaite_february", 2, detail=0.05, until="kaite", share=0.25).plant
+    stage = interpolate_cultivars(february, load_cultivar("kaite"), 0.25)
+    assert len(quarter.of_form("internode")) == stage.stem.parts != middle.stem.parts
 
 
 @pytest.mark.parametrize(
@@ -92,20 +85,14 @@ def test_height_between_two_stages_is_between_theirs():
         ({"seed": 2**63}, "below 2\\^63"),
         ({"share": 0.5}, "needs `until`"),
         ({"share": 2, "until": "kaite"}, "must be between 0 and 1"),
-        ({"share": float("nan"), "until": "kaite"}, "must be between 0 and 1"),
         ({"until": "tomato"}, "species: must be the same in both"),
-        ({"until": "kaiter"}, "no such file"),
     ],
 )
 def test_rejects_invalid_arguments(february, arguments, message):
     with pytest.raises(InputError, match=message):
         grow_plant(february, **arguments)
-
-
-@pytest.mark.parametrize("detail", [0.0, -1.0, float("nan"), float("inf")])
-def test_rejects_detail_that_is_not_positive_and_finite(february, detail):
     with pytest.raises(ValueError, match="detail"):
-        grow_plant(february, detail=detail)
+        grow_plant(february, detail=float("nan"))
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +134,7 @@ def test_two_processes_make_the_same_plants_as_one(factory, expected, started, m
     assert (process.returncode, process.stdin.closed, process.stdout.closed) == (0, True, True)
 
 
-@pytest.mark.parametrize("script", [None, "exit 3", "echo hello"])
+@pytest.mark.parametrize("script", [None, "echo hello"])
 def test_without_a_working_second_process_all_plants_are_made_here(
     script, factory, expected, monkeypatch, tmp_path
 ):
@@ -157,16 +144,6 @@ def test_without_a_working_second_process_all_plants_are_made_here(
         program.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(program))
     assert_equal(make_plants(factory, 0, COUNT, 2), expected)
-
-
-def test_interrupt_ends_the_second_process(factory, started, monkeypatch):
-    def interrupt(_self, _which, _number):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(PlantFactory, "plant", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        make_plants(factory, 0, COUNT, 2)
-    assert started[0].returncode is not None
 
 
 def test_few_plants_start_no_process(factory, started, monkeypatch):
@@ -182,12 +159,18 @@ def test_number_of_processes_is_argument_then_environment_then_default(monkeypat
     monkeypatch.setenv(PROCESSES, "many")
     with pytest.raises(InputError, match="must be 1 or 2, not many"):
         plant_processes()
+    for wrong in (0, 3, "2", "many"):
+        with pytest.raises(ArgumentError, match=f"^processes: must be 1 or 2, not {wrong}$"):
+            plant_processes(wrong)
     monkeypatch.delenv(PROCESSES)
     assert plant_processes() in (1, 2)
 
 
-@pytest.mark.parametrize("processes", [0, 3, "2", "many"])
-def test_a_wrong_argument_is_not_blamed_on_the_environment(processes, monkeypatch):
-    monkeypatch.setenv(PROCESSES, "1")
-    with pytest.raises(ArgumentError, match=f"^processes: must be 1 or 2, not {processes}$"):
-        plant_processes(processes)
+def test_interrupt_ends_the_second_process(factory, started, monkeypatch):
+    def interrupt(_self, _which, _number):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PlantFactory, "plant", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        make_plants(factory, 0, COUNT, 2)
+    assert started[0].returncode is not None

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pepperscene import render_scene
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.recipe.resolve.load import resolve_recipe
 
@@ -23,12 +24,20 @@ SMALL = {
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def scene():
+    """The frame renderer of a recipe without distortion, and its scene before culling."""
+    frames = FrameRenderer(resolve_recipe("barth2018", SMALL | INTRINSICS), culled=False)
+    return frames.scene(frames.recipe.plan.frame(1), traced=False)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", COEFFICIENTS)
-def test_rendered_positions_are_projected_by_opencv_onto_their_pixels(model):
+def test_rendered_positions_are_projected_by_opencv_onto_their_pixels(scene, model):
     lens = {"camera.distortion_model": model, "camera.distortion": COEFFICIENTS[model]}
-    resolved = resolve_recipe("barth2018", SMALL | INTRINSICS | lens)
-    frame = FrameRenderer(resolved).render(resolved.recipe.plan.frame(1), ("position",), "draft")
+    frames = FrameRenderer(resolve_recipe("barth2018", SMALL | INTRINSICS | lens))
+    camera = frames.camera(frames.recipe.plan.frame(1), traced=False)
+    frame = render_scene(scene, camera, ["position"], "draft")
     position = frame["position"]
     rows, columns = np.nonzero(np.isfinite(position).all(axis=-1))
     chosen = np.random.default_rng(1).choice(len(rows), 1000, replace=False)
@@ -38,11 +47,8 @@ def test_rendered_positions_are_projected_by_opencv_onto_their_pixels(model):
     pose = np.array(frame.metadata["camera"]["pose"])
     vector, shift = cv2.Rodrigues(pose[:3, :3].T)[0], -pose[:3, :3].T @ pose[:3, 3]
     matrix = np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
-    coefficients = np.array(COEFFICIENTS[model])
-    if model == "equidistant":
-        pixels, _ = cv2.fisheye.projectPoints(points[:, None], vector, shift, matrix, coefficients)
-    else:
-        pixels, _ = cv2.projectPoints(points, vector, shift, matrix, coefficients)
+    project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
+    pixels, _ = project(points[:, None], vector, shift, matrix, np.array(COEFFICIENTS[model]))
     # In OpenCV's convention, the centre of the pixel in row r and column c is (c, r).
     error = pixels.reshape(-1, 2) - np.stack([columns, rows], axis=-1)
     assert np.abs(error).max() < 0.05

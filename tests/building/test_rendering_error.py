@@ -39,10 +39,11 @@ def test_missed_targets_are_one_note():
     )
 
 
-@pytest.mark.parametrize("target", [None, "0.15", True, 0.0, float("nan")])
-@pytest.mark.parametrize("error", [4.0, None, "4", float("inf"), -1.0])
-def test_unknown_values_give_no_note(target, error):
-    assert notes_of((target, 4.0, 8.0), (0.15, error if error != 4.0 else None, 8.0), (0.15, 4.0, None)) == []
+def test_unknown_values_give_no_note():
+    for target in (None, "0.15", True, 0.0, float("nan")):
+        assert notes_of((target, 4.0, 8.0)) == []
+    for error in (None, "4", float("inf"), -1.0):
+        assert notes_of((0.15, error, 8.0), (0.15, 4.0, None)) == []
 
 
 def test_build_and_check_tell_missed_targets(build_small, tmp_path):

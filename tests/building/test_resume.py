@@ -119,38 +119,17 @@ def interrupted_build(start, folder, rng, max_kills, script, max_s, log):
 
 
 @pytest.mark.long
-def test_build_that_is_killed_at_random_times_is_resumed(start, tmp_path, log):
-    assert start("expected").communicate()[1] == b""
-    log.unlink()
-    kills = interrupted_build(start, tmp_path / "set", np.random.default_rng(6), 6, FAKE, 4.0, log)
-    assert kills > 1
-    assert contents(tmp_path / "set") == contents(tmp_path / "expected")
-    manifest = open_dataset(tmp_path / "set").manifest()
-    assert manifest["index"].to_pylist() == list(range(FRAMES))
-    assert manifest["seed"].to_pylist() == [frame_seed(SEED, index) for index in range(FRAMES)]
-
-
-@pytest.mark.long
-def test_builds_that_are_killed_100_times(start, tmp_path, log):
-    rng, folder = np.random.default_rng(100), tmp_path / "set"
-    assert start("expected").communicate()[1] == b""
-    expected, kills = contents(tmp_path / "expected"), 0
-    while kills < 100:
-        kills += interrupted_build(start, folder, rng, 100 - kills, FAKE, 4.0, log)
+@pytest.mark.parametrize(
+    ("script", "count", "max_s"), [(FAKE, 100, 4.0), (REAL, 30, 30.0)], ids=["noise", "colour and all labels"]
+)
+def test_builds_that_are_killed_at_random_times(start, tmp_path, log, script, count, max_s):
+    rng, folder, kills = np.random.default_rng(count), tmp_path / "set", 0
+    assert start("expected", script=script).communicate()[1] == b""
+    expected = contents(tmp_path / "expected")
+    while kills < count:
+        kills += interrupted_build(start, folder, rng, count - kills, script, max_s, log)
         assert contents(folder) == expected
-        assert open_dataset(folder).manifest()["index"].to_pylist() == list(range(FRAMES))
+        manifest = open_dataset(folder).manifest()
+        assert manifest["index"].to_pylist() == list(range(FRAMES))
+        assert manifest["seed"].to_pylist() == [frame_seed(SEED, index) for index in range(FRAMES)]
         shutil.rmtree(folder)
-
-
-@pytest.mark.long
-def test_real_builds_that_are_killed_30_times(start, tmp_path, log):
-    """Sixty frames in colour with all labels, killed at thirty random times of several builds."""
-    rng = np.random.default_rng(30)
-    assert start("expected", script=REAL).communicate()[1] == b""
-    expected, kills = contents(tmp_path / "expected"), 0
-    assert len(expected) == 1 + FRAMES * 7
-    while kills < 30:
-        kills += interrupted_build(start, tmp_path / "set", rng, 30 - kills, REAL, 30.0, log)
-        assert contents(tmp_path / "set") == expected
-        for path in sorted((tmp_path / "set").rglob("*"), reverse=True):
-            path.rmdir() if path.is_dir() else path.unlink()

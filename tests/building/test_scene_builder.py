@@ -18,7 +18,6 @@ from pepperscene.classes import OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.scene.far_rows import FAR_ROW_PLANTS
-from pepperscene.scene.greenhouse import FarRowsAs
 
 SMALL = {
     "cultivar": "kaite_february",  # the smallest plants
@@ -69,8 +68,8 @@ def feet(mesh):
     return np.array([foot(plant_vertices(mesh, number)) for number in range(3)])
 
 
-def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
-    calls, mesh_plant = [], pepperscene.geometry.mesh_plant
+def test_rotations_reuse_the_plants_of_their_set(recipe, builder, monkeypatch):
+    other, calls, mesh_plant = builder, [], pepperscene.geometry.mesh_plant
     monkeypatch.setattr(
         pepperscene.geometry, "mesh_plant", lambda *args: calls.append(args) or mesh_plant(*args)
     )
@@ -86,21 +85,14 @@ def test_rotations_reuse_the_plants_of_their_set(recipe, monkeypatch):
     # All sets share the plants of the far rows.
     builder.plants(1)
     assert len(calls) == 6 + FAR_ROW_PLANTS
-
-
-def test_plants_depend_on_set_and_number_but_not_on_the_count(recipe, builder):
-    alone = recipe.model_copy(update={"row": replace(recipe.row, plants_front=1)})
-    other = builder_of(alone)
-    np.testing.assert_array_equal(other.plants(0)[0].mesh.vertices, builder.plants(0)[0].mesh.vertices)
-    assert not np.array_equal(other.plants(1)[0].mesh.vertices, builder.plants(0)[0].mesh.vertices)
-
-
-def test_scene_depends_on_no_other_scene(recipe, builder):
-    expected = builder_of(recipe).scene(1, 1)
-    builder.scene(0, 0)
-    result = builder.scene(1, 1)
+    # A scene depends on no other scene, and a plant not on the number of plants.
+    alone = builder_of(recipe.model_copy(update={"row": replace(recipe.row, plants_front=1)}))
+    for number in range(2):
+        vertices = alone.plants(number)[0].mesh.vertices
+        np.testing.assert_array_equal(vertices, builder.plants(number)[0].mesh.vertices)
+        assert not np.array_equal(vertices, builder.plants(1 - number)[0].mesh.vertices)
+    result, expected = builder.scene(0, 0), other.scene(0, 0)
     np.testing.assert_array_equal(result.mesh.vertices, expected.mesh.vertices)
-    np.testing.assert_array_equal(result.mesh.faces, expected.mesh.faces)
     assert result.contacts == expected.contacts
 
 
@@ -125,15 +117,6 @@ def test_every_process_makes_the_same_bytes(scene):
         },
     )
     assert result.stdout.strip() == mesh_digest(scene.mesh)
-
-
-def test_greenhouse_is_the_recipes_in_metres_and_radians(builder):
-    greenhouse = builder.greenhouse
-    assert greenhouse.row_lean_rad == pytest.approx(np.radians(4))
-    assert (greenhouse.spacing_sd_m, greenhouse.across_sd_m) == (0.015, 0.01)
-    assert (greenhouse.gutter_width_m, greenhouse.gutter_height_m, greenhouse.crop_wire_m) == (0.22, 0.4, 2.0)
-    assert (greenhouse.far_rows, greenhouse.far_reach_m, greenhouse.aisle_m) == (1, 0.7, 1.3)
-    assert (greenhouse.floor, greenhouse.pipes) == (True, True)
 
 
 def test_rows_lean_apart_and_stems_begin_on_blocks(builder, scene):
@@ -203,28 +186,14 @@ def test_surroundings_are_background_except_for_crop_wires(scene):
     # Plants come first, so that their numbers do not depend on what is around them.
     order = [2 if item.far_row >= 0 else int(item.plant < 0) for item in instances]
     assert order == sorted(order)
-
-
-def test_far_rows_follow_with_plants_of_their_own(recipe, scene):
-    far = [item for item in scene.mesh.instances if item.far_row >= 0]
+    far = [item for item in instances if item.far_row >= 0]
     assert {item.far_row for item in far} == set(range(6))
     assert {item.plant for item in far} == set(range(3, 1 + max(item.plant for item in far)))
-    assert {item.organ_class for item in far} >= {OrganClass.LEAF, OrganClass.STEM, OrganClass.SHOOT}
-
-
-def test_far_rows_as_background_are_one_instance_each_and_change_nothing_else(recipe, scene):
-    table = replace(recipe.greenhouse, far_rows_as=FarRowsAs.BACKGROUND)
-    other = builder_of(recipe.model_copy(update={"greenhouse": table})).scene(0, 0)
-    kinds = [instance.kind for instance in other.mesh.instances]
-    assert kinds[-6:] == ["far_row"] * 6
-    assert other.mesh.instances[:-6] == tuple(item for item in scene.mesh.instances if item.far_row < 0)
-    np.testing.assert_array_equal(other.mesh.vertices, scene.mesh.vertices)
-    np.testing.assert_array_equal(other.mesh.faces, scene.mesh.faces)
 
 
 def test_no_part_of_the_greenhouse_intersects_fruit():
     # Whole plants, at a stage that bears fruit from bottom to top.
-    changes = {"row.plants_front": 2, "row.plants_back": 2, "greenhouse.far_rows": 0}
+    changes = {"row.plants_front": 1, "row.plants_back": 1, "greenhouse.far_rows": 0}
     mesh = builder_of(load_recipe("greenhouse", changes)).scene(0, 0).mesh
     fruit = mesh.vertices[np.unique(mesh.faces[mesh.face_class == OrganClass.PEPPER])]
     assert fruit.shape[0] > 0

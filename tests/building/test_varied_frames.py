@@ -18,7 +18,7 @@ cultivar = { kaite_february = 0.5, red_blocky = 0.5 }
 [plan]
 sets = 2
 rotations = 1
-frames = 4
+frames = 2
 select = []
 
 [row]
@@ -75,54 +75,28 @@ def whole(recipe, tmp_path_factory):
     return contents(folder / "set")
 
 
-@pytest.mark.slow
 def test_frames_differ_in_their_values(whole):
     drawn = [
         json.loads(content)["drawn"]
         for name, content in whole.items()
         if name.startswith("frames/") and name.endswith(".json")
     ]
-    assert len(drawn) == 8
+    assert len(drawn) == 4
     for key in ("camera.hfov_deg", "camera.focus_mm", "daylight.illuminance_lx", "auto_exposure.target_grey"):
-        assert len({frame[key] for frame in drawn}) == 8
+        assert len({frame[key] for frame in drawn}) == 4
     for key in ("cultivar", "row.spacing_mm", "daylight.cover"):
-        assert {frame[key] for frame in drawn[:4]} == {drawn[0][key]}
-    assert {frame["camera.flash"] for frame in drawn} == {"none", "led_matrix_200klx"}
+        assert drawn[0][key] == drawn[1][key]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("index", [2, 7])
-def test_a_frame_alone_has_the_bytes_that_it_has_in_the_set(recipe, whole, tmp_path, index):
-    build(recipe, tmp_path / "set", [index], OUTPUTS, BuildOptions(quality="draft"))
-    alone = contents(tmp_path / "set")
-    assert alone == {name: content for name, content in whole.items() if name in alone}
-    assert sum(f"{index:06d}" in name for name in alone) == 1 + len(OUTPUTS)
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_frames_in_reverse_order_have_the_same_bytes(recipe, whole, tmp_path):
-    for index in (5, 4, 1, 0):
+def test_frames_alone_and_in_reverse_order_have_the_bytes_that_they_have_in_the_set(recipe, whole, tmp_path):
+    for index in (3, 0):
         build(recipe, tmp_path / "set", [index], OUTPUTS, BuildOptions(quality="draft"))
     built = contents(tmp_path / "set")
     assert built == {name: content for name, content in whole.items() if name in built}
+    assert sum("000003" in name for name in built) == 1 + len(OUTPUTS)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_frames_of_workers_have_the_same_bytes(recipe, whole, tmp_path):
     build(recipe, tmp_path / "set", None, OUTPUTS, BuildOptions(quality="draft", workers=2))
     assert contents(tmp_path / "set") == whole
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_one_renderer_makes_the_same_frames_in_any_order(recipe, whole, tmp_path):
-    from pepperscene.building.scenes.frame_renderer import FrameRenderer
-
-    forwards, backwards = FrameRenderer(recipe), FrameRenderer(recipe)
-    specs = [forwards.recipe.plan.frame(index) for index in (0, 1, 2, 4)]
-    first = [forwards.render(spec, OUTPUTS, "draft") for spec in specs]
-    last = [backwards.render(spec, OUTPUTS, "draft") for spec in reversed(specs)][::-1]
-    for frame, other in zip(first, last, strict=True):
-        assert all((frame.images[name] == other.images[name]).all() for name in OUTPUTS)
-        assert frame.metadata["camera"] == other.metadata["camera"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 import pytest
 from pyarrow import parquet
@@ -98,16 +96,23 @@ def test_lattice_poses_have_their_spacing():
         np.testing.assert_allclose(np.unique(positions[:, axis].round(9)), expected)
 
 
+def test_unreachable_workspaces_are_rejected():
+    inside = ps.ReachTest(ps.BoxWorkspace((-0.1, -0.1, 0.9), (0.1, 0.1, 1.1)), sphere((0.0, 0.0, 1.0), 0.5))
+    target = [[2.0, 0.0, 1.0]]
+    with pytest.raises(ArgumentError, match="random: finds 0 reachable positions of 3 in 150 attempts"):
+        ps.random_poses(inside, target, 3, np.random.default_rng(0))
+    with pytest.raises(ArgumentError, match=r"spacing: of 0\.1 m gives no reachable position among 27"):
+        ps.lattice_poses(inside, target, 0.1)
+    with pytest.raises(ArgumentError, match="gives more than 100,000 positions"):
+        ps.lattice_poses(inside, target, 1e-4)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: ps.BoxWorkspace((0, 0, 1), (0, 0, 0)), "box: must have finite limits, the lower ones first"),
-        (
-            lambda: ps.SphereWorkspace((0, 0, 1), 0.0),
-            "sphere: must have a finite centre and a radius",
-        ),
+        (lambda: ps.SphereWorkspace((0, 0, 1), 0.0), "sphere: must have a finite centre and a radius"),
         (lambda: ps.ReachTest(EVERYWHERE, sphere((0, 0, 1), 0.1), -1.0), "clearance: must be a finite dist"),
-        (lambda: ViewpointOptions(random=5), "random: needs a workspace"),
         (lambda: ViewpointOptions(random=5, spacing_m=0.1), "spacing: cannot be combined with random"),
         (lambda: ViewpointOptions(views=-1), "views: must be at least 0, not -1"),
     ],
@@ -115,30 +120,6 @@ def test_lattice_poses_have_their_spacing():
 def test_invalid_options_are_rejected(make, message):
     with pytest.raises(ArgumentError, match=message):
         make()
-
-
-def test_unreachable_workspaces_are_rejected():
-    body = sphere((0.0, 0.0, 1.0), 0.5)
-    inside = ps.ReachTest(ps.BoxWorkspace((-0.1, -0.1, 0.9), (0.1, 0.1, 1.1)), body)
-    rng = np.random.default_rng(0)
-    with pytest.raises(ArgumentError, match="random: finds 0 reachable positions of 3 in 150 attempts"):
-        ps.random_poses(inside, [[2.0, 0.0, 1.0]], 3, rng)
-    with pytest.raises(ArgumentError, match=r"spacing: of 0\.1 m gives no reachable position among 27"):
-        ps.lattice_poses(inside, [[2.0, 0.0, 1.0]], 0.1)
-    with pytest.raises(ArgumentError, match="gives more than 100,000 positions"):
-        ps.lattice_poses(inside, [[2.0, 0.0, 1.0]], 1e-4)
-
-
-def test_the_best_views_are_those_of_an_exhaustive_search(scene, observer, camera):
-    reach = ps.ReachTest(AISLE, scene.mesh, 0.03)
-    poses = ps.random_poses(reach, observer.points.skin_centres, 10, np.random.default_rng(1))
-    seen = observer.observe(camera, poses)
-    points = np.zeros((len(poses), len(seen.fruit), 256), dtype=bool)
-    points[seen.pose_index, seen.fruit_index] = np.unpackbits(seen.seen, axis=1)
-    for count in (1, 2, 3):
-        best = max(points[list(some)].any(axis=0).mean() for some in combinations(range(10), count))
-        assert ps.exact_views(seen, count).coverage[-1] == pytest.approx(best)
-    assert ps.greedy_views(seen, 1).coverage[0] == ps.exact_views(seen, 1).coverage[0] > 0.0
 
 
 def test_no_planner_is_better_than_the_oracle_for_the_first_view(scene, observer, camera):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 
@@ -35,8 +36,6 @@ def organs_of(dataset, index):
 
 def change(folder, edit, output="amodal", index=0):
     """Edit a JSON output of a frame, and its entry in the frame's JSON."""
-    import hashlib
-
     path, frame_path = folder / output / f"{index:06d}.json", folder / "frames" / f"{index:06d}.json"
     content = json.loads(path.read_text())
     edit(content)
@@ -51,6 +50,7 @@ def change(folder, edit, output="amodal", index=0):
 
 
 def test_images_have_them_in_their_metadata(dataset):
+    assert not [file for _, file in findings_of(dataset.folder) if file.startswith("amodal")]
     for index, image in zip(FRAMES, open_images(dataset.folder), strict=True):
         organs = image.metadata["amodal"]["organs"]
         assert len(organs) > 200
@@ -67,7 +67,6 @@ def test_images_have_them_in_their_metadata(dataset):
         (lambda content: content["organs"][3].pop("amodal"), r"organs\.3\.amodal"),
         (lambda content: content["organs"][1]["amodal"]["counts"].append(1), "must have counts that sum to"),
         (lambda content: content["organs"][0].update(instance=0), r"organs\.0\.instance"),
-        (lambda content: content["organs"][2].update({"class": 9}), r"organs\.2\.class"),
         (lambda content: content.pop("organs"), "organs"),
     ],
 )
@@ -85,16 +84,11 @@ def findings_of(folder):
     return {(one.kind, one.file): one.problem for one in check_dataset(folder).findings}
 
 
-def test_complete_ones_have_no_finding(dataset):
-    assert not [file for _, file in findings_of(dataset.folder) if file.startswith("amodal")]
-
-
 @pytest.mark.parametrize(
     ("edit", "kind", "problem"),
     [
         (lambda content: content["organs"][0].update(visible_pixels=1), "contradiction", "the JSON says 1"),
         (lambda content: content["organs"][0].update(amodal_pixels=1), "contradiction", "the JSON says 1"),
-        (lambda content: content.update(format="other"), "damaged", "must have the format"),
         (
             lambda content: content["organs"][5].pop("amodal"),
             "damaged",
@@ -165,12 +159,11 @@ def test_coco_without_them_in_all_frames_has_them_of_fruit_only(dataset, records
     folder = shutil.copytree(dataset.folder, tmp_path / "other")
     shutil.rmtree(folder / "harvest")
     for index, found in coco_of(folder, tmp_path / "out2").items():
-        whole = {one["id"]: one for one in records[index]}
+        known = {one["id"]: one.get("attributes") for one in records[index]}
         for one in found:
             if not one["iscrowd"]:
-                known = whole[one["id"]]["attributes"]
-                assert one["attributes"]["amodal"] == known["amodal"]
-                assert one["attributes"]["visible_fraction"] == pytest.approx(known["visible_fraction"])
+                for name in ("amodal", "visible_fraction"):
+                    assert one["attributes"][name] == known[one["id"]][name]
 
 
 def test_organs_whose_hidden_part_is_at_the_border_can_be_left_out(dataset, tmp_path):
@@ -180,7 +173,11 @@ def test_organs_whose_hidden_part_is_at_the_border_can_be_left_out(dataset, tmp_
         instance = dataset.image(index, "instance")
         border[index] = {*instance[[0, -1]].ravel().tolist(), *instance[:, [0, -1]].ravel().tolist()}
     inside = next(value for value in organs_of(dataset, 0) if value not in border[0])
-    change(folder, lambda content: find_organ(content, inside).update(truncated=True))
+
+    def edit(content):
+        next(one for one in content["organs"] if one["instance"] == inside).update(truncated=True)
+
+    change(folder, edit)
     for index, found in coco_of(folder, tmp_path / "out", truncated="drop").items():
         kept = {one["attributes"]["instance"] for one in found if not one["iscrowd"]}
         # The painted harvest truth has no fruit that is truncated.
@@ -189,7 +186,3 @@ def test_organs_whose_hidden_part_is_at_the_border_can_be_left_out(dataset, tmp_
         assert truncated
         truncated |= {inside} if index == 0 else set()
         assert kept == organs_of(dataset, index).keys() - truncated
-
-
-def find_organ(content, value):
-    return next(one for one in content["organs"] if one["instance"] == value)

@@ -91,13 +91,8 @@ def test_the_question_for_the_version_of_llvm_runs_no_module_of_the_folder(folde
     assert not ran(folder)
 
 
-def test_checks_of_the_installation_run_no_module_of_the_folder(folder):
-    result = doctor._run_child("import ctypes, json, antigravity_is_missing")
-    assert result.code == 1
-    assert not ran(folder)
-
-
-def test_benchmarks_of_other_variants_run_no_module_of_the_folder(folder, tmp_path):
+def test_benchmarks_and_checks_of_the_installation_run_no_module_of_the_folder(folder, tmp_path):
+    assert doctor._run_child("import ctypes, json, antigravity_is_missing").code == 1
     with pytest.raises(SetupError, match="no_scene"):
         measure_variant("llvm_ad_spectral", "no_scene", (8, 6), 1, tmp_path)
     assert not ran(folder)

@@ -45,7 +45,6 @@ MODULES = (
     "drjit",
 )
 MARK = "import pathlib; pathlib.Path({mark!r}).touch()\ndef make(*_, **__): pathlib.Path({mark!r}).touch()\n"
-DEFAULT = 'extends = "demo"\n[row]\nplants_front = 1\nplants_back = 0\n'
 
 
 @pytest.fixture(scope="module")
@@ -136,8 +135,8 @@ def model_files():
 def text_files():
     """Name, content and the recipe that reads it."""
     bomb = "a0: &a0 [1, 1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]\n" for n in range(1, 60))
-    calibration = 'extends = "demo"\n[camera]\ncalibration = "{}"\n'
-    poses = 'extends = "demo"\n[views]\nkind = "poses"\nfile = "{}"\n'
+    calibration, poses, extends = (RECIPE_FILES[name] for name in ("calibration", "poses", "extends"))
+    function = 'extends = "demo"\n[views]\nkind = "function"\nfile = "{{}}"\nfunction = "{}"\n'
     yield "a.yaml", bomb + "image_width: *a59\nimage_height: 10\n", calibration
     yield "b.yaml", "image_width: " + "[" * 50_000, calibration
     yield "c.yaml", "image_width: !!python/object/apply:os.system ['touch ran']\n", calibration
@@ -154,26 +153,14 @@ def text_files():
     yield "a.txt", "0 1 2\n" * 1_000_000, poses
     yield "b.txt", "0 nan 0 0 0 0 0 1\n", poses
     yield "c.txt", "x" * 50_000_000, poses
-    yield (
-        "a.py",
-        "import evil_net\ndef poses(scene, rng): evil_net.make()\n",
-        ('extends = "demo"\n[views]\nkind = "function"\nfile = "{}"\nfunction = "poses"\n'),
-    )
-    yield (
-        "b.py",
-        "import evil_net\n",
-        'extends = "demo"\n[views]\nkind = "function"\nfile = "{}"\nfunction = "x"\n',
-    )
-    yield "a.toml", "x = " + "[" * 100_000, 'extends = "{}"\n'
-    yield "b.toml", "x = " + "9" * 1_000_000, 'extends = "{}"\n'
-    yield "c.toml", "".join(f"k{n} = {n}\n" for n in range(300_000)), 'extends = "{}"\n'
-    yield "d.toml", 'extends = "d.toml"\n', 'extends = "{}"\n'
+    yield "a.py", "import evil_net\ndef poses(scene, rng): evil_net.make()\n", function.format("poses")
+    yield "b.py", "import evil_net\n", function.format("x")
+    yield "a.toml", "x = " + "[" * 100_000, extends
+    yield "b.toml", "x = " + "9" * 1_000_000, extends
+    yield "c.toml", "".join(f"k{n} = {n}\n" for n in range(300_000)), extends
+    yield "d.toml", 'extends = "d.toml"\n', extends
     many = ", ".join(map(str, range(-1, 100_001)))
-    yield (
-        "e.toml",
-        f'extends = "demo"\n[daylight]\nilluminance_lx = {{ in_turn = [{many}] }}\n',
-        'extends = "{}"\n',
-    )
+    yield "e.toml", f'extends = "demo"\n[daylight]\nilluminance_lx = {{ in_turn = [{many}] }}\n', extends
 
 
 RECIPE_FILES = {

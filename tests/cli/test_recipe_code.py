@@ -53,7 +53,6 @@ COMMANDS = {
     "build": ("build", "mine.toml", "--out", "out", *OUTPUTS),
     "build with workers": ("build", "mine.toml", "--out", "out", "--workers", 2, *OUTPUTS),
     "dry run": ("build", "mine.toml", "--out", "out", "--dry-run", *OUTPUTS),
-    "dry run of a frame": ("build", "mine.toml", "--out", "out", "--dry-run", "--frames", "1:2", *OUTPUTS),
     "render": ("render", "mine.toml", "--out", "out", *OUTPUTS),
     "drawing": ("build", "mine.toml", "--dry-run", "--drawing", "plan.png", *OUTPUTS),
     "poses": ("build", "mine.toml", "--dry-run", "--poses", "poses.txt", *OUTPUTS),
@@ -94,16 +93,10 @@ def test_commands_that_need_poses_refuse_code_in_one_sentence(folder, command, n
 def test_no_part_of_the_file_runs_unasked(folder, command, variant):
     path, marker = folder
     (path / "views.py").write_text(VARIANTS[variant](MARK.format(marker=str(marker))))
-    assert command("build", "mine.toml", "--dry-run", "--no-probe").exit_code == 0
+    assert command("build", "mine.toml", "--dry-run", "--no-probe", "--drawing", "plan.png").exit_code == 0
     assert command("build", "mine.toml", "--dry-run", *OUTPUTS).exit_code == 2
     assert command("render", "mine.toml", "--out", "out", *OUTPUTS).exit_code == 2
     assert not marker.exists()
-
-
-def test_a_dry_run_without_a_probe_needs_no_code(folder, command):
-    result = command("build", "mine.toml", "--dry-run", "--no-probe", "--drawing", "plan.png")
-    assert result.exit_code == 0, result.output
-    assert not folder[1].exists()
 
 
 def test_with_the_permission_the_code_runs_and_no_file_holds_the_permission(folder, command):

@@ -47,7 +47,7 @@ def check_interrupted(command, code, errors, number):
 
 
 def test_a_signal_at_any_moment_gives_one_line_and_its_exit_code(tmp_path):
-    moments = np.geomspace(0.02, 2.5, 6)
+    moments = np.geomspace(0.02, 2.5, 4)
     for number, group in zip((signal.SIGINT, signal.SIGTERM), np.array_split(moments, 2), strict=True):
         commands = [
             Command("build", "demo", "--out", str(tmp_path / str(n)), "--frames", "0:2", "--outputs", "class")
@@ -66,7 +66,7 @@ def test_a_signal_at_any_moment_gives_one_line_and_its_exit_code(tmp_path):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--help",), ("recipes",), ("check", "set"), ("doctor",), ("bench", "--out", "b", "--quick")],
+    [("--help",), ("bench", "--out", "b", "--quick")],
     ids=lambda arguments: arguments[0],
 )
 def test_every_command_ends_at_a_signal_while_it_is_imported(arguments, tmp_path):
@@ -90,16 +90,6 @@ def test_a_terminal_that_is_closed_ends_a_command_and_nohup_prevents_it():
     assert interrupt(protected, signal.SIGHUP) == (0, b"")
 
 
-def test_a_signal_at_the_end_changes_no_result():
-    for number, delay_s in ((signal.SIGINT, 0.0), (signal.SIGTERM, 0.01), (signal.SIGINT, 0.03)):
-        command = Command("recipes")
-        command.process.stdout.readline()
-        time.sleep(delay_s)
-        command.process.send_signal(number)
-        code, _, errors = command.finish()
-        assert (code, errors) in ((0, b""), (128 + number, b"interrupted\n"))
-
-
 @pytest.mark.parametrize(
     "workers",
     [pytest.param((), id="serial"), pytest.param(("--workers", "2"), id="workers", marks=pytest.mark.long)],
@@ -107,7 +97,8 @@ def test_a_signal_at_the_end_changes_no_result():
 def test_an_interrupted_build_keeps_its_frames_and_is_resumed(tmp_path, workers):
     folder = tmp_path / "set"
     arguments = ("build", "barth2018", "--out", str(folder), *LABELS, "--set", "plan.frames=40", *workers)
-    command = Command(*arguments, "--json")
+    options = {} if workers else {"entry": FAST_ENTRY, "environment": {"STAND_IN_S": "0.05"}}
+    command = Command(*arguments, "--json", **options)
     assert json.loads(command.process.stdout.readline())["event"] == "frame"
     code, errors = interrupt(command, signal.SIGTERM)
     check_interrupted(command, code, errors, signal.SIGTERM)
@@ -116,7 +107,7 @@ def test_an_interrupted_build_keeps_its_frames_and_is_resumed(tmp_path, workers)
     assert 0 < kept < 40
     assert (folder / "manifest.parquet").is_file()
     assert not list(folder.rglob("*.tmp"))
-    code, output, errors = Command(*arguments, "--json").finish()
+    code, output, errors = Command(*arguments, "--json", **options).finish()
     assert code == 0, errors.decode()
     end = json.loads(output.splitlines()[-1])
     assert (end["made"], end["kept"]) == (40 - kept, kept)
@@ -168,13 +159,6 @@ def start_waiting(body):
     return command
 
 
-def test_a_command_goes_on_until_it_looks_at_the_flag():
-    body = "print('ready', flush=True)\nwait(1)\nprint('done', flush=True)\nwait_for_signal()"
-    command = start_waiting(body)
-    command.process.send_signal(signal.SIGINT)
-    assert command.finish() == (130, b"done\n", b"interrupted\n")
-
-
 CLEANUP = (
     "try:\n"
     "    print('ready', flush=True)\n"
@@ -186,7 +170,7 @@ CLEANUP = (
 )
 
 
-@pytest.mark.parametrize(("signals", "rest"), [(1, b"clean\n"), (2, b"clean\n"), (3, b"")])
+@pytest.mark.parametrize(("signals", "rest"), [(2, b"clean\n"), (3, b"")])
 def test_a_second_signal_does_not_break_the_cleanup_and_a_third_ends_it(signals, rest):
     command = start_waiting(CLEANUP)
     command.process.send_signal(signal.SIGTERM)
@@ -260,24 +244,23 @@ def contents(folder):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("render", "demo", "--out", "one", "--outputs", "class,colour", "--quality", "draft"),
-        ("plant", "kaite", "--out", "plant.glb", "--quality", "draft"),
-        ("report", "set"),
-        ("check", "set"),
-        ("export", "set", "--format", "coco", "--out", "coco"),
-        ("compare", "set", "set", "--figure", "figure.png"),
-        ("tune", "demo", "--fit", "leaf.chlorophyll", "--patches", "set", "--out", "tuned"),
-        ("doctor",),
-        ("recipes",),
+        "render demo --out one --outputs class,colour --quality draft",
+        "plant kaite --out plant.glb --quality draft",
+        "report set",
+        "check set",
+        "export set --format coco --out coco",
+        "compare set set --figure figure.png",
+        "tune demo --fit leaf.chlorophyll --patches set --out tuned",
+        "doctor",
+        "recipes",
     ],
-    ids=lambda arguments: arguments[0],
 )
 def test_signals_at_random_moments_of_other_commands(tmp_path, arguments):
-    rng = np.random.default_rng(len(arguments[0]))
+    rng = np.random.default_rng(len(arguments))
     assert Command("build", "barth2018", "--out", "set", *COLOUR, cwd=tmp_path).finish()[0] == 0
     before = {path for path in tmp_path.rglob("*") if path.is_file()}
     for number in (signal.SIGINT, signal.SIGTERM) * 8:
-        command = Command(*arguments, cwd=tmp_path)
+        command = Command(*arguments.split(), cwd=tmp_path)
         code, errors = interrupt(command, number, rng.uniform(0.0, 5.0))
         if code < 128:
             assert b"Traceback" not in errors

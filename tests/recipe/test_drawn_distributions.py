@@ -127,6 +127,7 @@ def test_draws_of_another_distribution_are_found(name, other, draws):
     assert goodness_of_fit(varied, numbers(varied, draws[name])) < 1e-4
 
 
+@pytest.mark.long
 def test_p_values_of_right_draws_are_even():
     # A test that is too strict or too lax has p values that are not uniform.
     plan = Plan(sets=1, rotations=1, frames=100)

@@ -291,17 +291,6 @@ def test_aimed_cameras_see_the_target_at_its_place(camera, elevation):
         np.testing.assert_allclose(seen, -directions(elevation, azimuth)[possible], atol=2e-8)
 
 
-def test_a_camera_in_front_of_the_row_is_level_as_on_a_path():
-    from pepperscene.camera import arc_path
-
-    angles = np.array([-0.5, 0.0, 0.8])
-    rotations, _ = aimed_rotations(np.full(3, -0.3), angles, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros(3))
-    for angle, rotation in zip(angles, rotations, strict=True):
-        np.testing.assert_allclose(
-            rotation, arc_path(1, 1.0, (angle, 0), (1.0, 1.0), 0.3)[0, :3, :3], atol=1e-12
-        )
-
-
 # The flash, targets, determinism
 
 

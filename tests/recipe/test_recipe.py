@@ -215,16 +215,6 @@ def test_rejects_plans_with_too_many_frames_or_unknown_indices(write_recipe):
         load_recipe(write_recipe(plan={"select": [10_500]}))
 
 
-def test_unknown_table_and_missing_key_are_named(write_recipe, tmp_path):
-    with pytest.raises(InputError, match=r"mine\.toml: nonsense"):
-        load_recipe(write_recipe(nonsense={"x": 1}))
-    tables = read_toml(RECIPES / "barth2018.toml")
-    del tables["row"]["gap_mm"]
-    (tmp_path / "mine.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
-    with pytest.raises(InputError, match=r"row\.gap_mm.*missing"):
-        load_recipe(tmp_path / "mine.toml")
-
-
 @pytest.mark.parametrize("name", ["", "nothing", "x" * 5000, "a\0b", "."])
 def test_unknown_recipe_is_an_input_error(name):
     with pytest.raises(InputError):

@@ -67,6 +67,9 @@ def test_without_a_flash_the_white_balance_must_be_another():
         assert camera_with(changes).developing.white_balance == expected
     monochrome = {"camera.flash": "none", "camera.sensor": "onsemi_mt9v024_mono"}
     assert camera_with(monochrome).flash is None
+    # Nor does a sensor with bands need another.
+    bands = dict.fromkeys(("camera.sensor", "camera.lens"), "micasense_rededge_mx") | {"camera.flash": "none"}
+    assert camera_with(bands).developing.white_balance == "daylight"
 
 
 def test_developing_of_a_recipe_is_that_of_its_camera():
@@ -112,13 +115,3 @@ def test_gains_and_matrix_have_limits(factor):
     tables = [{"white_balance": [gain, 1, 1]} for gain in (0.01 / factor, 100 * factor)]
     tables += [{"colour_matrix": [[sign * 100 * factor, 0, 0], *rows]} for sign in (-1, 1)]
     assert [is_valid(**table) for table in tables] == [factor == 1.0] * 4
-
-
-def test_a_sensor_with_bands_and_no_flash_needs_no_white_balance():
-    bands = {
-        "camera.sensor": "micasense_rededge_mx",
-        "camera.lens": "micasense_rededge_mx",
-        "camera.flash": "none",
-    }
-    resolved = resolve_recipe("barth2018", bands)
-    assert resolved.camera.developing.white_balance == "daylight"

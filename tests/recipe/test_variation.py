@@ -164,16 +164,6 @@ def test_a_list_of_twins_replaces_the_varied_values_in_it(load):
     assert last.recipe.developing.white_balance_error == (1.2, 1, 1)
 
 
-def test_coordinates_of_a_target_vary(load):
-    recipe = load(
-        "plan.frames = 20\n[views]\nkind = 'random'\ndistance_mm = [300, 400]\n"
-        "target = [{ low = -500, high = 500 }, 0, 1000]"
-    )
-    targets = [frame_values(recipe, recipe.plan.frame(index)).recipe.views.target for index in range(20)]
-    assert len({x for x, _, _ in targets}) == 20
-    assert all(-0.5 <= x <= 0.5 and (y, z) == (0, 1) for x, y, z in targets)
-
-
 @pytest.mark.long
 def test_parts_that_differ_in_every_frame_do_not_pile_up_in_memory(load):
     recipe = load("plan.frames = 200\noverride.stem.parts = { low = 20, high = 170, per = 'frame' }")

@@ -106,23 +106,21 @@ POSES[:, :3, 3] = [[0.1, -0.5, 1.2], [0.2, -0.55, 1.25], [0.35, -0.6, 1.2]]
 
 
 def write_tum(folder):
-    rows = [
-        f"{index * 0.5} {' '.join(map(repr, [*map(float, pose[:3, 3]), *map(float, quaternion)]))}"
-        for index, (pose, quaternion) in enumerate(
-            zip(POSES, Rotation.from_matrix(POSES[:, :3, :3]).as_quat(), strict=True)
-        )
-    ]
-    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    (folder / "poses.txt").write_text("\n".join(rows_of_poses(" ", 0.5)) + "\n")
     return "poses.txt"
 
 
-def write_csv(folder):
+def rows_of_poses(separator, *before):
+    """Lines with the numbers of positions and quaternions."""
     quaternions = Rotation.from_matrix(POSES[:, :3, :3]).as_quat()
-    rows = [
-        ",".join(map(repr, [*map(float, pose[:3, 3]), *map(float, quaternion)]))
-        for pose, quaternion in zip(POSES, quaternions, strict=True)
+    numbers = np.concatenate([POSES[:, :3, 3], quaternions], axis=1).tolist()
+    return [
+        separator.join(map(repr, [*(step * i for step in before), *row])) for i, row in enumerate(numbers)
     ]
-    (folder / "poses.csv").write_text("x_m,y_m,z_m,qx,qy,qz,qw\n" + "\n".join(rows) + "\n")
+
+
+def write_csv(folder):
+    (folder / "poses.csv").write_text("\n".join(["x_m,y_m,z_m,qx,qy,qz,qw", *rows_of_poses(",")]) + "\n")
     return "poses.csv"
 
 
