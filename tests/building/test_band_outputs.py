@@ -46,10 +46,7 @@ class BandStandIn(StandIn):
         rng = np.random.default_rng(seed)
         shape = (camera.height, camera.width, camera.sensor.channels)
         bands = rng.uniform(0.0, 1.0, shape).astype(np.float32)
-        images = {
-            **frame.images,
-            **dict.fromkeys(("bands", "radiance", "reflectance", "electrons"), bands),
-        }
+        images = {**frame.images, **dict.fromkeys(("bands", "radiance", "reflectance", "electrons"), bands)}
         images["class"] = rng.integers(0, 8, shape[:2]).astype(np.uint8)
         images |= plane_labels(camera)
         return Frame({name: images[name] for name in outputs}, frame.metadata)

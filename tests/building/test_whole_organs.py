@@ -89,11 +89,7 @@ def findings_of(folder):
     [
         (lambda content: content["organs"][0].update(visible_pixels=1), "contradiction", "the JSON says 1"),
         (lambda content: content["organs"][0].update(amodal_pixels=1), "contradiction", "the JSON says 1"),
-        (
-            lambda content: content["organs"][5].pop("amodal"),
-            "damaged",
-            "5.amodal: is required but missing",
-        ),
+        (lambda content: content["organs"][5].pop("amodal"), "damaged", "5.amodal: is required but missing"),
     ],
 )
 def test_contradictions_are_found(edit, kind, problem, dataset, tmp_path):

@@ -65,9 +65,7 @@ def test_a_signal_at_any_moment_gives_one_line_and_its_exit_code(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [("--help",), ("bench", "--out", "b", "--quick")],
-    ids=lambda arguments: arguments[0],
+    "arguments", [("--help",), ("bench", "--out", "b", "--quick")], ids=lambda arguments: arguments[0]
 )
 def test_every_command_ends_at_a_signal_while_it_is_imported(arguments, tmp_path):
     command = Command(*arguments, cwd=tmp_path)

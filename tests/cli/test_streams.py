@@ -106,8 +106,7 @@ def test_an_odd_environment_changes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("encoding", "expected"),
-    [("latin-1", b"\\u221a\xe9\xe9\n"), ("utf-8:strict", "√é".encode() + b"\xe9\n")],
+    ("encoding", "expected"), [("latin-1", b"\\u221a\xe9\xe9\n"), ("utf-8:strict", "√é".encode() + b"\xe9\n")]
 )
 def test_characters_that_an_encoding_lacks_are_no_error(encoding, expected):
     code = (

@@ -140,25 +140,6 @@ def test_cover_that_hardly_lets_visible_light_through_is_an_error(tmp_path, visi
         load_cover(cover_of(tmp_path, visible, infrared))
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("illuminance_lx", "elevation_deg"), [(200_000.0, 11.0), (18_000.0, 1.0)])
-def test_darkest_cover_in_the_strongest_sun_gives_an_image(tmp_path, illuminance_lx, elevation_deg):
-    (tmp_path / "ideal.csv").write_text("wavelength_nm,all\n400,1\n1100,1\n", encoding="utf-8")
-    efficiency = {"file": "ideal.csv", "columns": ["all"]}
-    changes = {
-        "camera.sensor": device(
-            tmp_path, "sensors", "onsemi_mt9v024_mono", **SMALL, quantum_efficiency=efficiency
-        ),
-        "daylight.cover": cover_of(tmp_path, 0.1, 0.98),
-        "daylight.illuminance_lx": illuminance_lx,
-        "daylight.sun_elevation_deg": elevation_deg,
-        "daylight.sun_fraction": 0.95,
-        "daylight.cloud_cover": 0.0,
-    }
-    _, electrons = image(tmp_path, changes)
-    assert electrons.min() > 0
-
-
 def test_sun_that_is_too_low_for_its_light_is_an_error():
     with pytest.raises(InputError, match=r"towards the sun must be at most 1e\+06 lx"):
         resolve_recipe("barth2018", {**STRONG_SUN, "daylight.sun_elevation_deg": 1.0})

@@ -11,10 +11,7 @@ from pepperscene.errors import InputError
 from pepperscene.recipe.resolve.load import load_recipe
 
 SYNTAX_ERROR = "def poses(:\n"
-FAULTY_FUNCTIONS = {
-    SYNTAX_ERROR: "is not valid Python",
-    "x = 1\n": "must be a function of the file",
-}
+FAULTY_FUNCTIONS = {SYNTAX_ERROR: "is not valid Python", "x = 1\n": "must be a function of the file"}
 
 
 def write(folder, text):

@@ -397,8 +397,7 @@ def test_an_unknown_target_names_the_known_ones(scene, camera):
 def small_camera():
     sensor = load_sensor("ueye_ui5250re")
     return Camera(
-        load_lens("lensagon_cmfa0420nd"),
-        replace(sensor, columns=200, rows=150, binning=4 * sensor.binning),
+        load_lens("lensagon_cmfa0420nd"), replace(sensor, columns=200, rows=150, binning=4 * sensor.binning)
     )
 
 

@@ -84,11 +84,7 @@ def test_box_sides_are_flat_and_rod_sides_are_round():
 
 
 @pytest.mark.parametrize(
-    ("section", "ends"),
-    [
-        ([(0, 0), (1, 0), (1, 1), (0, 1)], (1.0, 1.0)),
-        ([(0, 0), (1, 0)], (0.0, 1.0)),
-    ],
+    ("section", "ends"), [([(0, 0), (1, 0), (1, 1), (0, 1)], (1.0, 1.0)), ([(0, 0), (1, 0)], (0.0, 1.0))]
 )
 def test_beam_raises_on_invalid_section_or_ends(section, ends):
     with pytest.raises(ValueError, match="convex"):
