@@ -1,24 +1,22 @@
-"""COCO: pycocotools loads the instances, decodes their masks, and evaluates them to a precision of 1."""
+"""COCO: pycocotools loads and evaluates what is written; images are those of the panoptic format."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import json
-import shutil
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from label_set import box_of
-from painted_set import FRAMES, WIRE
+from label_set import CORNERS, MAPPING, POINTS, box_of, expected_points, export, fruit_truth, load_coco
+from painted_set import FRAMES, SIZE, WIRE
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.store.images import read_image
-from pepperscene.export import export_dataset
 from pepperscene.export.coco import segment_run_lengths
+from pepperscene.truth.encodings import decode_rle
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 
@@ -33,18 +31,17 @@ REST = 65536
 
 @pytest.fixture(scope="module")
 def out(painted, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("out") / "out"
-    return export_dataset(painted.folder, "coco", folder, "train=.6,val=.4").folder
+    return export(painted, "coco", tmp_path_factory.mktemp("out") / "out", split="train=.6,val=.4")
 
 
-def load(path):
+def load(folder, split="train"):
     with contextlib.redirect_stdout(io.StringIO()):
-        return COCO(path)
+        return COCO(folder / "annotations" / f"instances_{split}.json")
 
 
 @pytest.fixture(scope="module")
 def truth(out):
-    return load(out / "annotations" / "instances_train.json")
+    return load(out)
 
 
 def organ_entries(dataset, index):
@@ -55,13 +52,15 @@ def organ_entries(dataset, index):
 
 def test_every_organ_has_its_mask_and_attributes(painted, out, truth):
     assert sorted(truth.imgs) == list(FRAMES[:4])
+    assert truth.dataset["info"]["recipe_sha256"] == painted.info["recipe_sha256"]
     assert {category["id"]: category["name"] for category in truth.cats.values()} == {
         int(organ): organ.name.lower() for organ in OrganClass if organ
     }
+    parents = 0
     for index, record in truth.imgs.items():
         colour = read_image(out / "train" / record["file_name"])
         assert (colour == painted.image(index, "colour")).all()
-        assert (record["height"], record["width"]) == colour.shape[:2]
+        assert (record["height"], record["width"], record["set"]) == (*colour.shape[:2], 0)
         instance, entries = painted.image(index, "instance"), organ_entries(painted, index)
         # More than fit into a byte, where pycocotools 2.0 fails under NumPy 2.
         assert len(entries) > 255
@@ -76,87 +75,36 @@ def test_every_organ_has_its_mask_and_attributes(painted, out, truth):
             assert all(attributes[key] == entry[key] for key in ("kind", "plant", "phytomer"))
             assert thing["area"] == mask.sum() == mask_tools.area(thing["segmentation"])
             assert thing["bbox"] == box_of(mask)
-
-
-def test_parent_is_the_annotation_of_the_parent_organ(painted, truth):
-    parents = 0
-    for annotation in truth.anns.values():
-        if annotation["iscrowd"]:
-            continue
-        entries = organ_entries(painted, annotation["image_id"])
-        parent = entries[annotation["attributes"]["instance"]]["parent"]
-        if parent in entries:
-            parent_annotation = truth.anns[annotation["attributes"]["parent"]]
-            assert parent_annotation["image_id"] == annotation["image_id"]
-            assert parent_annotation["attributes"]["instance"] == parent
-            parents += 1
-        else:
-            assert annotation["attributes"]["parent"] is None
+            if entry["parent"] in entries:
+                parent = truth.anns[attributes["parent"]]
+                assert (parent["image_id"], parent["attributes"]["instance"]) == (index, entry["parent"])
+                parents += 1
+            else:
+                assert attributes["parent"] is None
+        # What belongs to no plant is a crowd.
+        (crowd,) = (annotation for annotation in truth.imgToAnns[index] if annotation["iscrowd"])
+        assert crowd["category_id"] == OrganClass.WIRE
+        assert (truth.annToMask(crowd).astype(bool) == (instance == WIRE)).all()
     assert parents > 20
 
 
-def test_instances_of_no_plant_are_a_crowd(painted, truth):
-    for index in truth.imgs:
-        crowds = [annotation for annotation in truth.imgToAnns[index] if annotation["iscrowd"]]
-        assert [crowd["category_id"] for crowd in crowds] == [int(OrganClass.WIRE)]
-        assert (truth.annToMask(crowds[0]).astype(bool) == (painted.image(index, "instance") == WIRE)).all()
-
-
-def test_annotation_ids_are_unique_in_all_splits_and_positive(out):
-    parts = [load(out / "annotations" / f"instances_{name}.json") for name in ("train", "val")]
+def test_annotation_ids_are_unique_in_all_splits_and_positive(out, truth):
+    parts = [truth, load(out, "val")]
     ids = [annotation["id"] for part in parts for annotation in part.dataset["annotations"]]
     assert len(set(ids)) == len(ids)
     assert min(ids) > 0
     assert {tuple(sorted(part.imgs)) for part in parts} == {FRAMES[:4], FRAMES[4:]}
 
 
-def average_precision(truth, predictions):
-    """Precisions of all classes, overlaps from .5 to .95, and recalls."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        evaluation = COCOeval(truth, truth.loadRes(predictions), "segm")
-        # Images contain more than the default limit of 100 organs of a class.
-        evaluation.params.maxDets = [1, 100, 1000]
-        evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0, 1e10]], ["all"]
-        evaluation.evaluate()
-        evaluation.accumulate()
-    precision = evaluation.eval["precision"][..., 0, -1]
-    return precision[precision > -1]
-
-
-def predictions_of(truth, crowd):
-    keys = ("image_id", "category_id", "segmentation", "bbox")
-    annotations = [annotation for annotation in truth.anns.values() if annotation["iscrowd"] == crowd]
-    return [{**{key: annotation[key] for key in keys}, "score": 0.9} for annotation in annotations]
-
-
-def test_average_precision_of_perfect_and_damaged_predictions(truth):
-    predictions = predictions_of(truth, crowd=False)
-    # A precision is a / (a + 2e-16): 1, or the number before it.
-    assert average_precision(truth, predictions) == pytest.approx(1, abs=1e-15)
-    assert average_precision(truth, predictions[::2]).mean() < 0.8
-    for prediction in predictions:
-        mask = np.roll(mask_tools.decode(prediction["segmentation"]), 3, axis=1)
-        prediction["segmentation"] = mask_tools.encode(np.asfortranarray(mask))
-    assert average_precision(truth, predictions).mean() < 0.8
-
-
-def test_predictions_of_the_crowd_are_ignored(truth):
-    predictions = predictions_of(truth, crowd=False) + predictions_of(truth, crowd=True)
-    assert average_precision(truth, predictions) == pytest.approx(1, abs=1e-15)
-
-
-def test_without_harvest_there_are_no_keypoints(painted, tmp_path):
-    copy = shutil.copytree(painted.folder, tmp_path / "set")
-    (copy / "harvest" / "000003.json").unlink()
-    export_dataset(copy, "coco", tmp_path / "out")
-    truth = load(tmp_path / "out" / "annotations" / "instances_train.json")
-    assert "keypoints" not in truth.cats[2]
-    assert all("keypoints" not in annotation for annotation in truth.anns.values())
+def test_without_harvest_there_are_no_keypoints(painted, copied, tmp_path):
+    dataset = copied(painted)
+    (dataset.folder / "harvest" / "000003.json").unlink()
+    content = load_coco(export(dataset, "coco", tmp_path / "out", frames="0:5"))
+    assert not any("keypoints" in one for one in (*content["categories"], *content["annotations"]))
 
 
 def test_small_organs_join_the_crowd_of_their_class(painted, tmp_path):
-    export_dataset(painted.folder, "coco", tmp_path / "out", smallest_px=100)
-    truth = load(tmp_path / "out" / "annotations" / "instances_train.json")
+    truth = load(export(painted, "coco", tmp_path / "out", smallest_px=100, frames="0:5"))
     for index in truth.imgs:
         entries, annotations = organ_entries(painted, index), truth.imgToAnns[index]
         large = sorted(value for value, entry in entries.items() if entry["pixels"] >= 100)
@@ -167,13 +115,6 @@ def test_small_organs_join_the_crowd_of_their_class(painted, tmp_path):
         assert (covered == (painted.image(index, "class") > 0)).all()
 
 
-def test_files_name_their_data_set(painted, out):
-    content = json.loads((out / "annotations" / "instances_train.json").read_text())
-    assert content["info"]["recipe_sha256"] == painted.info["recipe_sha256"]
-    assert [image["set"] for image in content["images"]] == [0] * 4
-
-
-@settings(deadline=None)
 @given(hnp.arrays(np.uint32, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(1, 5)))
 def test_run_lengths_are_those_of_pycocotools(ids):
     lengths = segment_run_lengths(ids)
@@ -183,28 +124,15 @@ def test_run_lengths_are_those_of_pycocotools(ids):
         assert mask["counts"] == mask_tools.encode(np.asfortranarray(ids == value, dtype=np.uint8))["counts"]
 
 
-@pytest.fixture(scope="module")
-def panoptic(out):
-    return json.loads((out / "annotations" / "panoptic_train.json").read_text())
-
-
-def decode_ids(out, annotation):
-    """Segment ids of an image, as the format defines them."""
-    path = out / "annotations" / "panoptic_train" / annotation["file_name"]
-    red, green, blue = np.moveaxis(read_image(path).astype(int), 2, 0)
-    return red + 256 * green + 65536 * blue
-
-
-def test_every_pixel_belongs_to_a_described_segment(painted, out, panoptic):
-    categories = {category["id"]: category for category in panoptic["categories"]}
-    assert {id_: category["isthing"] for id_, category in categories.items()} == {
-        int(organ): int(organ > 0) for organ in OrganClass
-    }
-    colours = [tuple(category["color"]) for category in panoptic["categories"]]
-    assert colours == list(CLASS_COLOURS)
+def test_every_pixel_belongs_to_a_described_segment(painted, out):
+    panoptic = load_coco(out, "panoptic")
+    assert [(one["id"], one["isthing"], tuple(one["color"])) for one in panoptic["categories"]] == [
+        (int(organ), int(organ > 0), colour) for organ, colour in zip(OrganClass, CLASS_COLOURS, strict=True)
+    ]
     for annotation in panoptic["annotations"]:
-        ids, infos = decode_ids(out, annotation), annotation["segments_info"]
-        index = annotation["image_id"]
+        index, infos = annotation["image_id"], annotation["segments_info"]
+        image = read_image(out / "annotations" / "panoptic_train" / annotation["file_name"])
+        ids = image.astype(int) @ [1, 256, 65536]
         values, counts = np.unique(ids, return_counts=True)
         assert {info["id"]: info["area"] for info in infos} == dict(zip(values, counts, strict=True))
         # 0 means unlabelled in this format.
@@ -220,3 +148,70 @@ def test_every_pixel_belongs_to_a_described_segment(painted, out, panoptic):
         rest = {info["id"]: info["iscrowd"] for info in infos if info["id"] >= REST}
         assert rest == {REST: 0, REST + OrganClass.WIRE: 1}
         assert ((ids == REST + OrganClass.WIRE) == (instance == WIRE)).all()
+
+
+def test_fruit_has_its_keypoints_pose_and_amodal_mask(labels, tmp_path):
+    truth = load(export(labels, "coco", tmp_path / "out", classes=MAPPING))
+    for category in truth.cats.values():
+        if category["name"] in ("ripe", "green"):
+            assert tuple(category["keypoints"]) == POINTS
+            assert category["skeleton"] == [[1, 2], [2, 3]]
+        else:
+            assert "keypoints" not in category
+    visibilities = set()
+    for one in truth.anns.values():
+        if "keypoints" not in truth.cats[one["category_id"]]:
+            assert "keypoints" not in one
+            continue
+        found = np.array(one["keypoints"], float).reshape(3, 3)
+        assert one["num_keypoints"] == np.count_nonzero(found[:, 2])
+        if one["iscrowd"]:
+            assert not found.any()
+            continue
+        attributes = one["attributes"]
+        fruit = fruit_truth(labels, one["image_id"])[attributes["instance"]]
+        expected = expected_points(fruit)
+        assert (found[:, 2] == expected[:, 2]).all()
+        # Centres of first pixels are at 0 in COCO, at 0.5 in the data set.
+        known = expected[:, 2] > 0
+        np.testing.assert_allclose(found[known, :2] + 0.5, expected[known, :2], rtol=0, atol=0.035)
+        assert not found[~known].any()
+        assert attributes["pose"] == fruit["pose"]
+        assert attributes["distance_m"] == pytest.approx(np.linalg.norm(fruit["box_3d"]["centre"]), abs=1e-6)
+        assert attributes["visible_fraction"] == fruit["visible_fraction"]
+        amodal = mask_tools.decode(attributes["amodal"]["segmentation"])
+        assert (amodal == decode_rle(fruit["amodal"])).all()
+        visibilities.update(found[:, 2])
+    assert visibilities == {0, 1, 2}
+
+
+def test_keypoints_at_the_border_are_inside_the_picture(borders, tmp_path):
+    truth = load(export(borders, "coco", tmp_path / "out"))
+    known = [one for one in truth.anns.values() if one.get("num_keypoints")]
+    assert known
+    for one in known:
+        points = np.reshape(one["keypoints"], (3, 3))
+        shown = points[points[:, 2] > 0, :2]
+        assert (shown >= 0).all()
+        assert (shown <= [SIZE[1] - 1, SIZE[0] - 1]).all()
+        # No point moves by more than half a pixel.
+        assert points[1:, 2].tolist() == [2, 2]
+        assert np.abs(points[1:, :2] + 0.5 - CORNERS).max() <= 0.5
+
+
+def test_pycocotools_evaluates_masks_and_keypoints_to_a_precision_of_1(labels, tmp_path):
+    truth = load(export(labels, "coco", tmp_path / "out", classes="pepper", frames="0:3"))
+    keys = ("image_id", "category_id", "keypoints", "segmentation", "bbox")
+    detections = [
+        {key: one[key] for key in keys} | {"score": 1.0}
+        for one in truth.anns.values()
+        if not one["iscrowd"] and one["num_keypoints"]
+    ]
+    with contextlib.redirect_stdout(io.StringIO()):
+        evaluation = COCOeval(truth, truth.loadRes(detections), "keypoints")
+        evaluation.params.kpt_oks_sigmas = np.full(len(POINTS), 0.05)
+        evaluation.params.areaRng, evaluation.params.areaRngLbl = [[0, 1e10]], ["all"]
+        evaluation.evaluate()
+        evaluation.accumulate()
+    values = evaluation.eval["precision"]
+    assert values[values > -1] == pytest.approx(1, abs=1e-12)

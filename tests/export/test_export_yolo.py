@@ -1,4 +1,7 @@
-"""YOLO: filled polygons give the masks, in pieces and with holes."""
+"""YOLO by readers of the published label formats: polygons, boxes, poses and data.yaml.
+
+Formats: https://docs.ultralytics.com/datasets/ (segment, detect, pose)
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,38 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
-from painted_set import FRAMES, SIZE
+from label_set import (
+    FRAMES,
+    MAPPING,
+    NAMES,
+    POINTS,
+    box_of,
+    expected_objects,
+    expected_points,
+    export,
+    fruit_truth,
+    pixels_of_box,
+    read_yolo,
+)
+from painted_set import FRAMES as PAINTED_FRAMES
+from painted_set import SIZE
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.images import read_image
-from pepperscene.export import export_dataset
 from pepperscene.export.polygons import MAX_BRIDGE_FRACTION, mask_polygons
+from pepperscene.export.yolo import VisibleObject
 
 cv2 = pytest.importorskip("cv2", reason="the extra `test` installs OpenCV")
+yaml = pytest.importorskip("yaml", reason="a reader of YAML")
 
 
-@pytest.fixture(scope="module")
-def out(painted, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("out") / "out"
-    return export_dataset(painted.folder, "yolo", folder, "train=.6,val=.4").folder
+def read_data(folder):
+    return yaml.safe_load((folder / "data.yaml").read_text())
+
+
+# Polygons.
 
 
 def fill(points, size):
@@ -31,22 +50,27 @@ def fill(points, size):
     return mask > 0
 
 
-def read_labels(path):
+def read_masks(path):
     """Class and mask of every line of a label file."""
-    labels = []
-    for line in path.read_text().splitlines():
-        class_id, *numbers = line.split()
-        points = np.array(numbers, dtype=float).reshape(-1, 2)
+    masks = []
+    for number, values in read_yolo(path):
+        points = values.reshape(-1, 2)
         # A line with four numbers would be a box.
         assert len(points) >= 3
         assert points.min() > 0
         assert points.max() < 1
-        labels.append((int(class_id), fill(points * SIZE[::-1], SIZE)))
-    return labels
+        masks.append((number, fill(points * SIZE[::-1], SIZE)))
+    return masks
 
 
-def test_every_organ_has_its_mask(painted, out):
-    for split, indices in (("train", FRAMES[:4]), ("val", FRAMES[4:])):
+def test_every_organ_has_its_mask(painted, tmp_path):
+    out = export(painted, "yolo", tmp_path / "out", split="train=.6,val=.4")
+    assert read_data(out) == {
+        "train": "images/train",
+        "val": "images/val",
+        "names": {int(organ) - 1: organ.name.lower() for organ in OrganClass if organ},
+    }
+    for split, indices in (("train", PAINTED_FRAMES[:4]), ("val", PAINTED_FRAMES[4:])):
         names = [f"{index:06d}" for index in indices]
         assert sorted(path.stem for path in (out / "labels" / split).iterdir()) == names
         for index, name in zip(indices, names, strict=True):
@@ -54,7 +78,7 @@ def test_every_organ_has_its_mask(painted, out):
             assert (colour == painted.image(index, "colour")).all()
             instance, entries = painted.image(index, "instance"), painted.metadata(index)["instances"]
             masks = {}
-            for class_id, mask in read_labels(out / "labels" / split / f"{name}.txt"):
+            for class_id, mask in read_masks(out / "labels" / split / f"{name}.txt"):
                 value = int(np.bincount(instance[mask], minlength=1).argmax())
                 assert class_id == entries[str(value)]["class"] - 1
                 masks.setdefault(value, []).append(mask)
@@ -70,40 +94,22 @@ def test_every_organ_has_its_mask(painted, out):
             assert large > 8
 
 
-def read_description(folder):
-    yaml = pytest.importorskip("yaml", reason="a reader of YAML")
-    return yaml.safe_load((folder / "data.yaml").read_text())
-
-
-def test_description_names_classes_and_folders(out):
-    description = read_description(out)
-    assert description == {
-        "train": "images/train",
-        "val": "images/val",
-        "names": {int(organ) - 1: organ.name.lower() for organ in OrganClass if organ},
-    }
-    assert all((out / description[key]).is_dir() for key in ("train", "val"))
-
-
 @pytest.mark.parametrize(
     ("split", "train", "val"),
-    [
-        (None, "train", "train"), ("a=.5,b=.5", "a", "a"), ("val=.5,x=.5", "val", "val"),
-        ("train=.5,validation=.5", "train", "validation"),
-    ],
+    [(None, "train", "train"), ("a=.5,b=.5", "a", "a"), ("val=.5,x=.5", "val", "val"),
+     ("train=.5,validation=.5", "train", "validation")],
 )  # fmt: skip
 def test_description_has_train_and_val_for_any_split_names(split, train, val, painted, tmp_path):
-    export_dataset(painted.folder, "yolo", tmp_path / "out", split)
-    description = read_description(tmp_path / "out")
+    out = export(painted, "yolo_detect", tmp_path / "out", split=split, frames="0:15" if split else "0:1")
+    description = read_data(out)
     assert (description["train"], description["val"]) == (f"images/{train}", f"images/{val}")
 
 
 def test_smallest_organ_is_an_option(painted, tmp_path):
-    export_dataset(painted.folder, "yolo", tmp_path / "out", frames="3:4", smallest_px=300)
+    out = export(painted, "yolo", tmp_path / "out", frames="3:4", smallest_px=300)
     entries = painted.metadata(3)["instances"].values()
     large = [entry for entry in entries if entry["class"] and entry["plant"] >= 0 and entry["pixels"] >= 300]
-    labels = read_labels(tmp_path / "out" / "labels" / "train" / "000003.txt")
-    assert 0 < len(labels) <= len(large)
+    assert 0 < len(read_masks(out / "labels" / "train" / "000003.txt")) <= len(large)
 
 
 def test_hole_stays_open():
@@ -153,7 +159,6 @@ def random_mask(seed):
     return mask > 0
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 @example(13226)  # the shortest bridge between two pieces crosses a third one
 @example(16973)
@@ -170,3 +175,62 @@ def test_polygons_cover_a_mask_except_bridges_and_specks(seed):
     limit = 0.01 * mask.sum() + MAX_BRIDGE_FRACTION * mask.sum() + 2 * small
     assert np.count_nonzero(covered & ~mask) <= limit
     assert not any((a & b & mask).any() for a, b in itertools.combinations(filled, 2))
+
+
+# Boxes and keypoints.
+
+
+@pytest.mark.parametrize(
+    ("format_name", "smallest_px"), [("yolo_detect", 1), ("yolo_detect", None), ("yolo_pose", 1)]
+)
+def test_each_line_is_an_object_with_its_class_box_and_keypoints(format_name, smallest_px, labels, tmp_path):
+    out = export(labels, format_name, tmp_path / "out", classes=MAPPING, smallest_px=smallest_px)
+    data, kpt_shape = read_data(out), [3, 3] if format_name == "yolo_pose" else None
+    assert list(data["names"].values()) == list(NAMES)
+    assert data.get("kpt_shape") == kpt_shape
+    if kpt_shape:
+        assert data["kpt_names"] == {0: list(POINTS), 1: list(POINTS)}
+        # A mirrored image has the same points: none is of the left or the right side.
+        assert data["flip_idx"] == [0, 1, 2]
+    for index in FRAMES:
+        lines = read_yolo(out / "labels" / "train" / f"{index:06d}.txt")
+        expected, fruit = expected_objects(labels, index, smallest_px or 12), fruit_truth(labels, index)
+        for (number, values), (value, (label, mask)) in zip(lines, sorted(expected.items()), strict=True):
+            assert data["names"][number] == label, f"the class of {value}"
+            assert len(values) == 4 + np.prod(kpt_shape or [0])
+            assert values[4:].min(initial=0) >= 0
+            assert values[:4].max() <= 1
+            np.testing.assert_allclose(
+                pixels_of_box(values[:4]), box_of(mask), atol=1e-3, err_msg=f"the box of {value}"
+            )
+            if kpt_shape:
+                points = values[4:].reshape(kpt_shape)
+                truth = expected_points(fruit[value]) if label in ("ripe", "green") else np.zeros((3, 3))
+                np.testing.assert_allclose(points * [*SIZE[::-1], 1], truth, rtol=0, atol=0.035)
+
+
+def test_keypoints_at_the_border_are_inside_the_picture(borders, tmp_path):
+    out = export(borders, "yolo_pose", tmp_path / "out")
+    assert read_data(out)["names"] == {0: "pepper"}
+    lines = read_yolo(out / "labels" / "train" / "000000.txt")
+    points = np.array([values[4:].reshape(3, 3) for _, values in lines])
+    assert points[..., :2].min() >= 0
+    assert points[..., :2].max() <= 1
+    assert points[..., 2].any()
+
+
+def test_edges_of_boxes_are_inside_the_picture():
+    for count in (3, 7, 11, 480, 799, 1280, 4999):
+        for start in range(0, count, max(1, count // 40)):
+            text = VisibleObject(1, 0, (slice(0, count - start), slice(start, count))).box((count, count))
+            x, y, width, height = (round(float(number) * 1e6) for number in text.split())
+            for centre, extent in ((x, width), (y, height)):
+                assert 0 <= 2 * centre - extent <= 2 * centre + extent <= 2_000_000
+            # Within a millionth of the image's side.
+            assert abs(x / 1e6 - 0.5 * (start + count) / count) < 1e-6
+            assert abs(width / 1e6 - (count - start) / count) < 2.1e-6
+
+
+def test_words_of_yaml_stay_names(labels, tmp_path):
+    out = export(labels, "yolo_detect", tmp_path / "out", classes="no=leaf,null=stem,y=pepper", frames="0:1")
+    assert read_data(out)["names"] == {0: "no", 1: "null", 2: "y"}

@@ -18,6 +18,7 @@ MAPPING = "ripe=pepper.ripe,green=pepper.unripe,stalk=peduncle+stem,leaf"
 NAMES = ("ripe", "green", "stalk", "leaf")
 FRAMES = (0, 3, 14)
 POINTS = ("cut", "stalk", "blossom_end")
+CORNERS = ((0.2, 0.0), (SIZE[1] - 0.001, SIZE[0] - 0.2))
 
 
 class LabelPainter(Painter):
@@ -31,6 +32,17 @@ class LabelPainter(Painter):
             mask = decode_rle(entry["amodal"])
             entry["truncated"] = bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())
         frame.images["harvest"]["fruit"] = [entry for k, entry in enumerate(fruit) if k % 5 < 4]
+        return frame
+
+
+class BorderPainter(LabelPainter):
+    """The ends of all fruit are in the outermost half pixels of the image."""
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+        frame = super().render(camera, outputs, quality, seed, **others)
+        for entry in frame.images["harvest"]["fruit"]:
+            for name, point in zip(("stalk_end", "blossom_end"), CORNERS, strict=True):
+                entry[name] |= {"px": list(point), "visible": True}
         return frame
 
 
@@ -77,6 +89,10 @@ def box_of(mask):
 
 def export(dataset, format_name, folder, **options):
     return export_dataset(dataset.folder, format_name, folder, **options).folder
+
+
+def load_coco(folder, kind="instances", split="train"):
+    return json.loads((folder / "annotations" / f"{kind}_{split}.json").read_text())
 
 
 def edit_json(path, change):
