@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from painted_set import FLOOR, FRAMES, WIRE
@@ -94,24 +95,17 @@ def test_own_export_has_the_classes_and_organs_of_the_rendered_set(painted, tmp_
     assert read == len(FRAMES)
 
 
-def test_own_export_of_one_split_opens_as_a_folder(painted, tmp_path):
-    out = export_dataset(painted.folder, "coco", tmp_path / "out").folder
-    assert open_images(out).names() == tuple(f"{index:06d}" for index in FRAMES)
-
-
 def test_own_export_of_some_classes_leaves_the_rest_void(painted, tmp_path):
-    options = {"classes": "pepper,peduncle", "ripe_from": 0.6}
+    options = {"classes": "pepper,peduncle", "ripe_from": 0.6, "frames": "0:5"}
     out = export_dataset(painted.folder, "coco", tmp_path / "out", **options).folder
-    for image in open_images(out):
-        truth = painted.image(int(image.name), "class")
-        fruit = np.isin(truth, [OrganClass.PEPPER, OrganClass.PEDUNCLE])
-        np.testing.assert_array_equal(image.classes, np.where(fruit, truth, VOID))
-    # Unless a table gives it a class.
-    (out / "classes.toml").write_text('otherwise = "background"\n')
-    for image in open_images(out):
-        truth = painted.image(int(image.name), "class")
-        fruit = np.isin(truth, [OrganClass.PEPPER, OrganClass.PEDUNCLE])
-        np.testing.assert_array_equal(image.classes, np.where(fruit, truth, OrganClass.BACKGROUND))
+    for rest in (VOID, OrganClass.BACKGROUND):
+        assert open_images(out).names() == ("000000", "000003")
+        for image in open_images(out):
+            truth = painted.image(int(image.name), "class")
+            fruit = np.isin(truth, [OrganClass.PEPPER, OrganClass.PEDUNCLE])
+            np.testing.assert_array_equal(image.classes, np.where(fruit, truth, rest))
+        # A table gives the rest a class.
+        (out / "classes.toml").write_text('otherwise = "background"\n')
 
 
 # --- files of other programs --------------------------------------------------------------------------------
@@ -165,10 +159,11 @@ def test_crowds_of_two_classes_are_void(tmp_path):
     assert classes[0].tolist() == [VOID, VOID, 2, 2, VOID, VOID, VOID, VOID]
 
 
-@pytest.mark.parametrize("name", ["fruit", "Sweet Pepper", "bell pepper", "Pepper"])
-def test_names_of_fruit_are_peppers(tmp_path, name):
-    image = open_images(write_coco(tmp_path, [annotation(1, 1, SQUARE)], [name]))[0]
-    assert (image.classes[square(1, 4, 1, 5)] == OrganClass.PEPPER).all()
+def test_names_of_fruit_are_peppers(tmp_path):
+    names = ["fruit", "Sweet Pepper", "bell pepper", "Pepper"]
+    annotations = [annotation(k, k, rle(square(k, k + 1, 0, 8))) for k in range(1, 5)]
+    image = open_images(write_coco(tmp_path, annotations, names))[0]
+    assert (image.classes[1:5] == OrganClass.PEPPER).all()
 
 
 def test_a_table_gives_classes_to_categories_and_to_the_rest(tmp_path):
@@ -208,47 +203,31 @@ def change(key, value, index=0):
     return edit
 
 
+def runs(size, counts):
+    return change("annotations", {"segmentation": {"size": size, "counts": counts}})
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
         (lambda content: content.pop("images"), "images: must be a list of objects, as in COCO's instances"),
-        (lambda content: content.update(annotations=[3]), "annotations: must be a list of objects"),
         (lambda content: content.update(images=[], annotations=[]), "lists no images"),
         (change("annotations", {"id": 1}, 1), "annotations.id = 1: must be an integer that occurs once"),
-        (change("images", {"id": "x"}), "images.id = 'x': must be an integer"),
         (change("annotations", {"category_id": 9}), "annotation 1.category_id = 9: is no category"),
         (change("annotations", {"image_id": 5}), "annotations.image_id = 5: is the id of no image"),
-        (change("annotations", {"image_id": []}), "annotation 1.image_id = []: must be an integer"),
         (change("images", {"file_name": "../a.png"}), "must be a path inside the folder"),
         (change("images", {"file_name": "/etc/passwd"}), "must be a path inside the folder"),
-        (change("images", {"file_name": None}), "must be a path inside the folder"),
         (change("images", {"file_name": "b.png"}), "b.png: is missing, although"),
         (change("images", {"height": 0}), "must have a height and a width"),
         (change("images", {"height": 7}), "a.png: has 8x6 pixels, but annotations.json says 8x7"),
         (change("annotations", {"segmentation": None}), "annotation 1: must be polygons, or run lengths"),
-        (change("annotations", {"segmentation": [[1, 2, 3, 4]]}), "must have polygons of three or more"),
         (change("annotations", {"segmentation": [[1, 2, 3, 4, 5, "6"]]}), "must have polygons of three"),
         (change("annotations", {"segmentation": [[1, 2, 3, 4, 5, 1e30]]}), "has a polygon far outside"),
-        (
-            change("annotations", {"segmentation": {"size": [8, 6], "counts": [48]}}),
-            "is of the size [8, 6], but its image is [6, 8]",
-        ),
-        (
-            change("annotations", {"segmentation": {"size": [6, 8], "counts": [47]}}),
-            "has run lengths that do not fill its image",
-        ),
-        (
-            change("annotations", {"segmentation": {"size": [6, 8], "counts": [1.5]}}),
-            "must have counts that are integers or text",
-        ),
-        (
-            change("annotations", {"segmentation": {"size": [6, 8], "counts": "0" * 50}}),
-            "has run lengths that do not fill its image",
-        ),
-        (
-            change("annotations", {"segmentation": {"size": [6, 8], "counts": "P"}}),
-            "has damaged run lengths",
-        ),
+        (runs([8, 6], [48]), "is of the size [8, 6], but its image is [6, 8]"),
+        (runs([6, 8], [47]), "has run lengths that do not fill its image"),
+        (runs([6, 8], [1.5]), "must have counts that are integers or text"),
+        (runs([6, 8], "0" * 50), "has run lengths that do not fill its image"),
+        (runs([6, 8], "P"), "has damaged run lengths"),
     ],
 )
 def test_rejects_damaged_files_in_one_sentence(tmp_path, edit, message):
@@ -279,13 +258,12 @@ def test_rejects_other_arguments(tmp_path):
 
 def test_polygons_need_pycocotools(tmp_path, monkeypatch):
     folder = write_coco(tmp_path, [annotation(1, 1, SQUARE)])
-    monkeypatch.setitem(__import__("sys").modules, "pycocotools.mask", None)
+    monkeypatch.setitem(sys.modules, "pycocotools.mask", None)
     with pytest.raises(SetupError, match=r"pip install 'pepperscene\[export\]'"):
         open_images(folder)[0]
 
 
 @given(hnp.arrays(bool, st.tuples(st.integers(1, 40), st.integers(1, 40))))
-@settings(deadline=None)
 def test_text_of_pycocotools_is_decoded(mask):
     encoded = mask_tools.encode(np.asfortranarray(mask).astype(np.uint8))
     segmentation = {"size": list(mask.shape), "counts": encoded["counts"].decode()}

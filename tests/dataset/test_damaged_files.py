@@ -58,7 +58,9 @@ def flip(path, rng):
     return f"bit {bit} of byte {position}"
 
 
-def check_flips(original, tmp_path, name, flips):
+@pytest.mark.parametrize("flips", [3, pytest.param(400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", FILES)
+def test_flipped_bits_are_found_and_repaired(original, tmp_path, name, flips):
     folder, rng = tmp_path / "set", np.random.default_rng(15)
     expected, images = values(original / name), contents(original)
     changed = 0
@@ -81,14 +83,3 @@ def check_flips(original, tmp_path, name, flips):
             assert contents(folder) == images, f"{name}: {where}"
         shutil.rmtree(folder)
     assert changed > flips // 4
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_flipped_bits_are_found_and_repaired(original, tmp_path, name):
-    check_flips(original, tmp_path, name, 3)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", FILES)
-def test_400_flipped_bits_are_found_and_repaired(original, tmp_path, name):
-    check_flips(original, tmp_path, name, 400)

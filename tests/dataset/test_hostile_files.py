@@ -49,55 +49,31 @@ def outcomes(tmp_path_factory, small):
 
 
 @pytest.mark.long
-def test_no_case_ends_in_another_error(outcomes):
+def test_every_case_ends_in_one_sentence(outcomes):
     assert [case for case in outcomes.values() if "fault" in case] == []
+    named = [name for name in outcomes if name.startswith(tuple(NAMED))]
+    assert len(named) > 20 * len(NAMED)
+    needed = [
+        f"{operation} with {target} as {file}"
+        for operation, files in READ_BY.items()
+        for target in (*DAMAGED, "outside_folder")
+        for file in files
+        if target != "outside_folder" or file in FOLDERS
+    ]
+    for name in (*named, *CONTENTS, *needed):
+        assert is_sentence(outcomes[name].get("error")), name
+    assert all(name.partition(".")[0] in outcomes[name]["error"] for name in CONTENTS)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("target", NAMED)
-def test_a_file_that_a_user_names_must_be_regular_and_not_too_long(outcomes, target):
-    cases = {name: case for name, case in outcomes.items() if name.startswith(target)}
-    assert len(cases) > 20
-    for name, case in cases.items():
-        assert is_sentence(case.get("error")), name
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", CONTENTS)
-def test_content_that_expands_gives_one_sentence(outcomes, name):
-    message = outcomes[name]["error"]
-    assert name.partition(".")[0] in message
-    assert is_sentence(message)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("target", DAMAGED)
-@pytest.mark.parametrize("file", SET_FILES)
-def test_check_names_a_file_of_a_set_that_is_no_file_of_it(outcomes, target, file):
-    case = outcomes[f"check with {target} as {file}"]
-    findings = case["result"] if "result" in case else [case["error"]]
-    reason = (
-        "is longer than" if target == "sparse" else "regular file" if target == "pipe" else "leads out of"
-    )
-    assert any(file in finding and reason in finding for finding in findings)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("file", FOLDERS)
-def test_check_names_files_in_a_folder_that_is_elsewhere(outcomes, file):
-    case = outcomes[f"check with outside_folder as {file}"]
-    assert any(file in finding and "leads out of" in finding for finding in case["result"])
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("operation", READ_BY)
-def test_what_needs_the_file_gives_one_sentence(outcomes, operation):
-    for target in (*DAMAGED, "outside_folder"):
-        for file in READ_BY[operation]:
-            if target == "outside_folder" and file not in FOLDERS:
-                continue
-            case = outcomes[f"{operation} with {target} as {file}"]
-            assert is_sentence(case.get("error")), f"{operation}, {target}, {file}: {case}"
+def test_check_names_a_file_that_is_none_of_the_set(outcomes):
+    reasons = {"sparse": "is longer than", "pipe": "regular file"}
+    cases = [(target, file) for target in DAMAGED for file in SET_FILES]
+    for target, file in (*cases, *(("outside_folder", file) for file in FOLDERS)):
+        case = outcomes[f"check with {target} as {file}"]
+        findings = case["result"] if "result" in case else [case["error"]]
+        reason = reasons.get(target, "leads out of")
+        assert any(file in finding and reason in finding for finding in findings), (target, file)
 
 
 @pytest.mark.parametrize("target", TARGETS)

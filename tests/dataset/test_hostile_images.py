@@ -44,8 +44,7 @@ def write(path, content):
     return path
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff"])
-@pytest.mark.parametrize("content", [EPS, WMF], ids=["eps", "wmf"])
+@pytest.mark.parametrize(("content", "suffix"), [(EPS, ".png"), (EPS, ".tiff"), (WMF, ".jpg")])
 def test_images_masks_and_charts_start_no_process(content, suffix, tmp_path, started):
     write(tmp_path / "photo" / f"a{suffix}", content)
     photo(tmp_path / "mask" / "images" / "a.png")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
@@ -91,19 +91,11 @@ def test_objects_must_be_valid_json(tmp_path):
 @pytest.mark.parametrize(
     ("output", "channels"),
     [
-        ("distance", ["distance"]),
-        ("depth_z", ["depth_z"]),
-        ("depth_sensor", ["depth_sensor"]),
-        ("depth_confidence", ["depth_confidence"]),
-        ("electrons", ["R", "G", "B"]),
-        ("albedo", ["R", "G", "B"]),
-        ("chlorophyll", ["chlorophyll"]),
-        ("leaf_age", ["leaf_age"]),
-        ("normal", ["X", "Y", "Z"]),
-        ("position", ["X", "Y", "Z"]),
+        *((name, [name]) for name in ("distance", "depth_z", "depth_sensor", "depth_confidence", "leaf_age")),
+        *((name, ["R", "G", "B"]) for name in ("electrons", "albedo")),
+        *((name, ["X", "Y", "Z"]) for name in ("normal", "position")),
         ("uv", ["U", "V"]),
-        ("flow", ["flow.x", "flow.y", "visible"]),
-        ("stereo", ["stereo.x", "stereo.y", "visible"]),
+        *((name, [f"{name}.x", f"{name}.y", "visible"]) for name in ("flow", "stereo")),
         ("coverage", ["background", "leaf", "pepper", "peduncle", "stem", "shoot", "wire", "cut"]),
     ],
 )
@@ -119,25 +111,13 @@ def test_exr_has_named_channels_and_a_unit(tmp_path, output, channels):
             np.testing.assert_array_equal(pixels, np.atleast_3d(image)[..., axis])
 
 
-def test_opencv_reads_the_same_exr_values(tmp_path, monkeypatch):
-    monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
-    image = np.random.default_rng(3).uniform(size=(7, 5, 3)).astype(np.float32)
-    path = tmp_path / "rgb.exr"
-    write_image(path, image, "electrons")
-    try:
-        result = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        result = None
-    if result is None:
-        pytest.skip("this OpenCV does not read OpenEXR")
-    np.testing.assert_array_equal(result[..., ::-1], image)
-
-
-def test_coverage_is_compressed(tmp_path):
+def test_images_are_compressed(tmp_path):
     image = np.zeros((100, 100, 8), np.float16)
     image[:, :50, 0], image[:, 50:, 1] = 1, 1
     write_image(tmp_path / "x.exr", image, "coverage")
     assert (tmp_path / "x.exr").stat().st_size < 0.05 * image.nbytes
+    # A constant image of 1.44 MB takes less than a hundredth.
+    assert len(png_bytes(np.full((600, 800, 3), 77, np.uint8))) < 14_400
 
 
 @pytest.mark.parametrize("output", ["electrons", "albedo"])
@@ -157,7 +137,6 @@ def shapes(*tail):
     return st.tuples(st.integers(1, 9), st.integers(1, 9)).map(lambda shape: (*shape, *tail))
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.one_of(arrays("uint8", shapes()), arrays("uint16", shapes()), arrays("uint8", shapes(3))))
 def test_pillow_and_opencv_read_the_same_png_values(image):
     content = png_bytes(image)
@@ -168,7 +147,6 @@ def test_pillow_and_opencv_read_the_same_png_values(image):
 
 
 @given(arrays("uint8", shapes(), elements=st.integers(0, 2)))
-@settings(max_examples=50, deadline=None)
 def test_palette_png_has_indices_and_colours(image):
     colours = ((9, 8, 7), (255, 0, 128), (1, 2, 3))
     with open_png(png_bytes(image, colours)) as picture:
@@ -182,18 +160,6 @@ def test_class_png_shows_the_class_colours(tmp_path):
         assert picture.mode == "P"
         rgb = np.asarray(picture.convert("RGB")).reshape(8, 3)
     assert [tuple(colour) for colour in rgb.tolist()] == list(CLASS_COLOURS)
-
-
-def test_png_does_not_depend_on_memory_layout():
-    image = np.random.default_rng(1).integers(0, 65536, (6, 8)).astype(np.uint16)
-    expected = png_bytes(image)
-    assert png_bytes(np.asfortranarray(image)) == expected
-    assert png_bytes(np.repeat(image, 2, axis=1)[:, ::2]) == expected
-
-
-def test_equal_rows_are_compressed():
-    # A constant image of 1.44 MB takes less than a hundredth.
-    assert len(png_bytes(np.full((600, 800, 3), 77, np.uint8))) < 14_400
 
 
 @pytest.mark.parametrize(
@@ -210,9 +176,10 @@ def test_rejects_arrays_that_are_no_png(shape, dtype, palette):
         png_bytes(np.zeros(shape, dtype), palette)
 
 
-@pytest.mark.parametrize("part", [1, 1000])
-def test_png_does_not_depend_on_the_size_of_its_parts(part, monkeypatch):
+def test_png_depends_neither_on_the_size_of_its_parts_nor_on_memory_layout(monkeypatch):
     images = [example("colour"), example("instance"), example("class")]
     expected = [png_bytes(image) for image in images]
-    monkeypatch.setattr(encoding, "_PNG_PART", part)
-    assert [png_bytes(image) for image in images] == expected
+    assert [png_bytes(np.asfortranarray(image)) for image in images] == expected
+    for part in (1, 1000):
+        monkeypatch.setattr(encoding, "_PNG_PART", part)
+        assert [png_bytes(image) for image in images] == expected

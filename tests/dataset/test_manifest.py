@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ import pytest
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.journal import JOURNAL
-from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST
+from pepperscene.dataset.store.manifest import FRAME_COLUMNS, FRUIT_COLUMNS, MANIFEST
 from pepperscene.errors import InputError, OutputError
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
@@ -115,16 +117,13 @@ def test_row_of_an_extended_frame_is_replaced(make):
         assert second["normal_sha256"] is None
 
 
-def test_removed_frame_has_no_row(make):
-    folder = make()
-    (folder / "frames" / "000002.json").unlink()
-    assert row_indices(folder) == [0, 1, 3, 4, 5]
-
-
-def test_damaged_frame_has_no_row_until_it_is_built_again(make):
+def test_removed_or_damaged_frame_has_no_row_until_it_is_built_again(make):
     folder = make("0:3")
     before, path = rows(folder), folder / "frames" / "000001.json"
-    path.write_bytes(path.read_bytes().replace(b'"set": 0', b'"set": 5'))
+    content = path.read_bytes()
+    path.unlink()
+    assert row_indices(folder) == [0, 2]
+    path.write_bytes(content.replace(b'"set": 0', b'"set": 5'))
     (folder / MANIFEST).unlink()
     assert row_indices(folder) == [0, 2]
     make("0:3")
@@ -133,16 +132,22 @@ def test_damaged_frame_has_no_row_until_it_is_built_again(make):
     ]
 
 
-@pytest.mark.parametrize("content", [
-    b"\xff\xfe\x00\n", b"[" * 200_000, b'{"checksum": ["CHECKSUM"], "render_s": 1}\n', b'["checksum"]\n',
-    b'{"checksum": "CHECKSUM", "render_s": 1e999, "write_s": "x", "worker": 5}\n', b'{"index": 0, "checks',
-])  # fmt: skip
-def test_bad_lines_of_the_journal_are_skipped(make, content):
+def test_bad_lines_of_the_journal_are_skipped(make):
     folder = make("0:2")
     before, journal = rows(folder), (folder / JOURNAL).read_bytes()
-    (folder / MANIFEST).unlink()
-    (folder / JOURNAL).write_bytes(journal + content.replace(b"CHECKSUM", before[0]["checksum"].encode()))
-    assert rows(folder) == before
+    lines = (
+        b"\xff\xfe\x00\n",
+        b"[" * 200_000,
+        b'{"checksum": ["CHECKSUM"], "render_s": 1}\n',
+        b'["checksum"]\n',
+        b'{"checksum": "CHECKSUM", "render_s": 1e999, "write_s": "x", "worker": 5}\n',
+        b'{"index": 0, "checks',
+    )
+    for line in lines:
+        (folder / MANIFEST).unlink(missing_ok=True)
+        content = line.replace(b"CHECKSUM", before[0]["checksum"].encode())
+        (folder / JOURNAL).write_bytes(journal + content)
+        assert rows(folder) == before
     # New lines are added.
     make("0:3")
     assert row_indices(folder) == [0, 1, 2]
@@ -156,6 +161,11 @@ def test_journal_that_cannot_be_written_is_an_error_with_its_name(make, tmp_path
     assert open_dataset(tmp_path / "set").manifest()["render_s"].to_pylist()[0] is not None
 
 
-def test_fruit_table_needs_harvest(make):
+def test_fruit_table_needs_harvest_and_the_page_lists_its_columns(make):
     with pytest.raises(InputError, match="harvest"):
         open_dataset(make("0:1")).fruit()
+    page = Path("docs/reference/harvest.md").read_text(encoding="utf-8")
+    section = page.partition("## Table of fruit")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (`.*?) \| (\w+) \|", section, re.MULTILINE)
+    listed = [(name, kind) for names, kind in rows for name in re.findall(r"`(\w+)`", names)]
+    assert listed == list(FRUIT_COLUMNS.items())

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import pickle
 import random  # noqa: TID251 - its state is compared
 import shutil
 import sys
@@ -17,12 +17,13 @@ from memory_set import SIZE, coded_arrays, coded_set, image_of, memory_set
 from PIL import Image as Picture
 from processes import run_python
 
-from pepperscene.classes import OrganClass
+from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.readers.image_set import VOID
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_steps import RandomFlip
-from pepperscene.dataset.readers.torch_images import collate_detections, torch_detections, torch_images
+from pepperscene.dataset.readers.torch_images import torch_detections, torch_images
 from pepperscene.errors import InputError, SetupError
-from pepperscene.export import export_dataset
+from pepperscene.export import Splits, export_dataset
 
 torch = pytest.importorskip("torch", reason="torch is an extra, which is not installed")
 
@@ -73,8 +74,7 @@ def test_random_numbers_depend_on_seed_epoch_and_position_only():
         return torch_images(coded_set(), ALL, augmentation=STANDARD, seed=seed, tensors="plain")
 
     expected = samples_of(new())
-    for workers in (1, 2):
-        assert are_equal(samples_of(new(), workers), expected)
+    assert are_equal(samples_of(new(), 2), expected)
     dataset = new()
     assert are_equal([dataset[position] for position in (4, 1, -2, 4)], [expected[k] for k in (4, 1, 4, 4)])
     # All positions, epochs and seeds have other numbers.
@@ -118,10 +118,9 @@ def test_transforms_of_users_draw_the_same_numbers_for_any_workers():
 
 
 def test_an_augmentation_can_be_the_transform():
-    dataset = torch_images(coded_set(), dtype="uint8", transform=STANDARD, seed=3, tensors="plain")
-    expected = samples_of(dataset)
-    assert expected[0]["image"].shape == (3, 24, 32)
-    assert are_equal(samples_of(dataset, 2), expected)
+    dataset = torch_images(coded_set(2), dtype="uint8", transform=STANDARD, seed=3, tensors="plain")
+    assert dataset[0]["image"].shape == (3, 24, 32)
+    assert are_equal([dataset[0]], [dataset[0]])
 
 
 @pytest.mark.parametrize(
@@ -191,12 +190,11 @@ def masks_of(dataset, **options):
 @pytest.mark.parametrize(
     "options",
     [
-        {"classes": "fruit=pepper,stalk=peduncle+stem"},
         {"classes": "other=background+leaf+shoot,fruit=pepper"},
         {"classes": "ripe=pepper.ripe,green=pepper.unripe,leaf"},
         {"ripe_from": 0.4},
     ],
-    ids=["merged", "with background", "ripeness", "threshold"],
+    ids=["with background", "ripeness", "threshold"],
 )
 def test_classes_are_those_of_the_semantic_export(options, labels, tmp_path):
     folder = export_dataset(labels.folder, "semantic", tmp_path / "out", **options).folder
@@ -207,12 +205,6 @@ def test_classes_are_those_of_the_semantic_export(options, labels, tmp_path):
         with Picture.open(folder / "masks" / "train" / f"{index:06d}.png") as image:
             np.testing.assert_array_equal(mask, np.asarray(image))
         assert mask.dtype == np.int64
-
-
-def test_without_a_mapping_classes_are_class_ids(labels):
-    names, masks = masks_of(labels)
-    assert names == tuple(organ.name.lower() for organ in OrganClass)
-    np.testing.assert_array_equal(masks[0], labels.image(labels.indices()[0], "class"))
 
 
 def test_mapped_classes_of_any_images_are_augmented_and_keep_void():
@@ -232,7 +224,6 @@ def test_mapped_classes_of_any_images_are_augmented_and_keep_void():
     ("options", "problem"),
     [
         ({"classes": "fruit=apple"}, "'apple' is none of background, leaf"),
-        ({"classes": "leaf,leaf"}, "leaf is named twice"),
         ({"classes": "leaf", "ripe_from": 0.5}, "needs pepper as a class of its own"),
         ({"ripe_from": 1.5}, "1.5 must be 0 to 1"),
         ({"classes": "ripe=pepper.ripe"}, "memory does not know the ripeness of fruit"),
@@ -255,6 +246,52 @@ def test_ripeness_needs_the_output_harvest(labels, tmp_path):
 
 
 # Samples.
+
+
+def test_samples_have_the_content_of_the_images(small):
+    sample = torch_images(small.folder, ("image",), dtype="uint8")[2]
+    assert sample["image"].dtype == torch.uint8
+    np.testing.assert_array_equal(sample["image"].numpy().transpose(1, 2, 0), small.image(2, "colour"))
+    samples = torch_images(small.folder, ALL)
+    assert isinstance(samples, torch.utils.data.Dataset)
+    assert len(samples) == 9
+    for image, sample in zip(open_images(small.folder)[:3], samples, strict=False):
+        assert sample["name"] == image.name
+        assert sample["image"].dtype == torch.float32
+        assert sample["image"].shape == (3, *image.size)
+        assert float(sample["image"].max()) <= 1.0
+        colour = np.rint(255 * sample["image"].numpy()).astype(np.uint8).transpose(1, 2, 0)
+        np.testing.assert_array_equal(colour, image.colour)
+        for key, array in (("mask", image.classes), ("instances", image.instances)):
+            assert sample[key].dtype == torch.int64
+            np.testing.assert_array_equal(sample[key].numpy(), array)
+        np.testing.assert_array_equal(sample["distance"].numpy(), image.distance_m)
+
+
+def test_can_be_pickled_for_spawned_workers(small):
+    samples = torch_images(small.folder, transform=GlobalNumbers(), seed=1)
+    copy = pickle.loads(pickle.dumps(samples))
+    assert torch.equal(copy[3]["numbers"], samples[3]["numbers"])
+
+
+def test_selects_the_frames_of_a_split(small):
+    splits = Splits((("train", range(4)), ("val", range(4, 5))))
+    names = torch_images(small.folder, splits=splits).images.names()
+    assert names == ("000000", "000001", "000002", "000003")
+    assert torch_images(small.folder, splits=splits, split="val").images.names() == ("000004",)
+    with pytest.raises(InputError, match="'test' holds no frame of set"):
+        torch_images(small.folder, splits=splits, split="test")
+
+
+def test_photographs_have_void_pixels_and_lack_what_rendered_sets_have(tmp_path):
+    Picture.fromarray(np.full((4, 4, 3), 100, np.uint8)).save(tmp_path / "a.png")
+    Picture.fromarray(np.array([[0, 1, 2, 255]] * 4, np.uint8)).save(tmp_path / "a_mask.png")
+    images = open_images(tmp_path, labels="published")
+    assert torch_images(images)[0]["mask"].tolist() == [[0, 1, 2, VOID]] * 4
+    with pytest.raises(InputError, match="a has no distance: leave it out of keys"):
+        torch_images(images, ("image", "distance"))[0]
+    with pytest.raises(InputError, match="splits: need frame indices"):
+        torch_images(images, splits=Splits())
 
 
 def test_augmented_samples_hold_all_keys_of_one_place():
@@ -288,13 +325,8 @@ def test_samples_do_not_share_memory_with_the_images():
 def test_only_the_fields_of_the_keys_are_read():
     dataset = torch_images(coded_set(1), "mask", tensors="plain")
     assert dataset.images.fields == ("classes",)
+    assert repr(dataset) == "<TorchImages memory: 1 images, mask, as plain tensors>"
     assert set(dataset[0]) == {"name", "mask"}
-
-
-def test_repr_names_set_keys_and_tensors():
-    plain = torch_images(coded_set(2), tensors="plain")
-    assert repr(plain) == "<TorchImages memory: 2 images, image, mask, as plain tensors>"
-    assert plain.tensors == "plain"
 
 
 # Tensors of torchvision.
@@ -364,57 +396,25 @@ def test_tv_tensors_have_the_values_of_plain_ones(tv_tensors):
     assert target["boxes"].canvas_size == (24, 32)
 
 
-def test_workers_return_tv_tensors(tv_tensors):
-    samples = torch_detections(coded_set(2), augmentation=STANDARD, seed=1)
-    loader = torch.utils.data.DataLoader(
-        samples, batch_size=2, num_workers=1, collate_fn=collate_detections,
-        multiprocessing_context="fork",
-    )  # fmt: skip
-    ((images, targets),) = list(loader)
-    for position in range(2):
-        image, target = samples[position]
-        np.testing.assert_array_equal(images[position].numpy(), image.numpy())
-        np.testing.assert_array_equal(targets[position]["boxes"].numpy(), target["boxes"].numpy())
-
-
-def install_failing_torchvision(folder, monkeypatch, line):
-    (folder / "torchvision").mkdir()
-    (folder / "torchvision" / "__init__.py").write_text(line)
-    monkeypatch.syspath_prepend(folder)
-    for name in [name for name in sys.modules if name.partition(".")[0] == "torchvision"]:
-        monkeypatch.delitem(sys.modules, name)
-
-
 @pytest.mark.parametrize(
     ("line", "problem"),
     [
         ("raise RuntimeError('operator torchvision::nms does not exist\\nsecond line')", "torchvision::nms"),
         ("raise ModuleNotFoundError(\"No module named 'torchvision'\")", "No module named 'torchvision'"),
-        ("assert False", "AssertionError"),
     ],
 )
 def test_torchvision_that_cannot_be_imported(tmp_path, monkeypatch, line, problem):
-    install_failing_torchvision(tmp_path, monkeypatch, line)
+    (tmp_path / "torchvision").mkdir()
+    (tmp_path / "torchvision" / "__init__.py").write_text(line)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "torchvision"]:
+        monkeypatch.delitem(sys.modules, name)
     assert torch_images(coded_set(1)).tensors == "plain"
     assert torch_detections(coded_set(1)).tensors == "plain"
     with pytest.raises(SetupError, match=problem) as caught:
         torch_images(coded_set(1), tensors="tv")
     assert "\n" not in str(caught.value)
     assert "use tensors='plain'" in str(caught.value)
-
-
-@pytest.mark.skipif(importlib.util.find_spec("torchvision") is None, reason="torchvision is not installed")
-def test_real_torchvision_transforms_boxes_and_masks_together():
-    try:
-        from torchvision.transforms import v2
-    except Exception as error:
-        pytest.skip(f"torchvision cannot be imported ({error})")
-    samples = torch_detections(coded_set(1), transform=v2.RandomHorizontalFlip(p=1.0), tensors="tv")
-    image, target = samples[0]
-    assert image[0, 0].tolist() == sorted(image[0, 0].tolist())
-    for mask, box in zip(target["masks"].numpy(), target["boxes"].tolist(), strict=True):
-        rows, columns = np.nonzero(mask)
-        assert box == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
 
 
 # Memory.
@@ -475,7 +475,6 @@ def test_memory_does_not_grow_with_epochs(tmp_path):
     [
         ({"keys": ()}, "keys: must be some of image, mask, .*, depth_z, .*, chlorophyll, .*, not none"),
         ({"keys": ("image", "name")}, "keys: must be some of .*, not name"),
-        ({"keys": None}, "keys: must be some of .*, not None"),
         ({"augmentation": RandomFlip()}, "augmentation: must be an Augmentation, not RandomFlip"),
         ({"transform": 3}, "transform: must be a function, not 3"),
         ({"dtype": "uint16"}, "dtype: must be float32 or uint8, not 'uint16'"),
@@ -493,11 +492,10 @@ def test_invalid_arguments_are_one_sentence(arguments, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("epoch", [-1, 0.5, None, "1"])
-def test_invalid_epochs_are_one_sentence(epoch):
-    dataset = torch_images(coded_set(1), tensors="plain")
-    with pytest.raises(InputError, match="epoch: must be an integer from 0, not "):
-        dataset.set_epoch(epoch)
+def test_invalid_epochs_are_one_sentence():
+    for epoch in (-1, 0.5, "1"):
+        with pytest.raises(InputError, match="epoch: must be an integer from 0, not "):
+            torch_images(coded_set(1), tensors="plain").set_epoch(epoch)
 
 
 def test_an_error_in_a_worker_names_the_image():

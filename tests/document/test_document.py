@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import pytest
 import tomli_w
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, ValidationError, model_validator
 
@@ -93,16 +93,8 @@ def test_raises_on_invalid_path(tmp_path):
 
 @pytest.mark.parametrize(
     "number",
-    [
-        str(2**63),
-        str(-(2**63) - 1),
-        "+" + "9" * 400,
-        "-" + "9" * 5000,
-        "_".join(["1"] * 5000),
-        hex(2**64),
-        "0x" + "f" * 50_000,
-    ],
-    ids=["63 bits", "-63 bits", "400 digits", "5000 digits", "underscores", "hex", "long hex"],
+    [str(2**63), str(-(2**63) - 1), "-" + "9" * 5000, "_".join(["1"] * 5000), "0x" + "f" * 50_000],
+    ids=["63 bits", "-63 bits", "5000 digits", "underscores", "hex"],
 )
 @pytest.mark.parametrize(
     ("text", "key"),
@@ -126,7 +118,6 @@ def test_long_floats_and_strings_are_accepted(write):
     assert tables == {"a": pytest.approx(1 / 9), "b": digits, "c": math.inf}
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
 @given(st.binary(max_size=40) | st.text("[]{}=.,\"'#\n abe019_-+:Tx", max_size=40).map(str.encode))
 def test_any_bytes_give_tables_or_an_input_error(write, content):
     path = write(content)
@@ -144,9 +135,7 @@ def test_any_bytes_give_tables_or_an_input_error(write, content):
         ({"flash": {"lux": math.inf}}, "flash.lux", math.inf, "must be a finite number"),
         ({"flash": {"lux": math.nan}}, "flash.lux", None, "must be a finite number"),
         ({"flash": {"lux": [1]}}, "flash.lux", [1], "must be a valid number"),
-        ({"flash": {"lux": {"x": 1}}}, "flash.lux", None, "must be a valid number"),
         ({"flash": {"lux": 1, "kind": "gas"}}, "flash.kind", "gas", "'led' or 'xenon'"),
-        ({"flash": {"lux": 1, "kind": ["led"]}}, "flash.kind", ["led"], "'led' or 'xenon'"),
         ({"flash": {"lux": 1, "kind": {}}}, "flash.kind", None, "'led' or 'xenon'"),
         ({"sizes": [1, 2, "x"]}, "sizes.2", "x", "must be a valid integer"),
         ({"sizes": [2, 1]}, "", None, "sizes must ascend"),
@@ -163,9 +152,8 @@ def test_error_names_file_key_value_and_what_is_allowed(change, key, value, allo
     assert (error.where, error.key) == ("cam.toml", key)
     assert value is None or error.value == value
     assert allowed in error.problem
-    assert str(error).startswith("cam.toml: ")
-    assert key in str(error)
-    assert error.problem in str(error)
+    assert str(error).startswith(f"cam.toml: {key}")
+    assert str(error).endswith(error.problem)
     assert "\n" not in str(error)
 
 
@@ -217,16 +205,14 @@ def test_values_without_repr_are_shown_by_size_or_type():
         validate(Camera, GOOD | {"flash": {"lux": 10**5000}}, "cam.toml")
 
 
-def test_argument_error_names_the_argument_and_omits_a_value_without_a_key():
-    assert str(ArgumentError("seed", "must be better", value=5)) == "seed: must be better"
-
-
-@pytest.mark.parametrize(("value", "pickled"), [(5, 5), (None, None), ([1, 2], "[1, 2]")])
 @pytest.mark.parametrize("kind", [InputError, ArgumentError])
-def test_errors_can_be_pickled_with_any_value(kind, value, pickled):
-    copy = pickle.loads(pickle.dumps(kind("f", "must be better", key="k", value=value)))
-    assert (type(copy), copy.where, copy.problem, copy.key) == (kind, "f", "must be better", "k")
-    assert copy.value == pickled
+def test_errors_can_be_pickled_with_any_value(kind):
+    for value, pickled in ((5, 5), (None, None), ([1, 2], "[1, 2]")):
+        copy = pickle.loads(pickle.dumps(kind("f", "must be better", key="k", value=value)))
+        assert (type(copy), copy.where, copy.problem, copy.key) == (kind, "f", "must be better", "k")
+        assert copy.value == pickled
+    # A value without a key is left out.
+    assert str(kind("seed", "must be better", value=5)) == "seed: must be better"
 
 
 @pytest.mark.parametrize("name", ["plants", "recipes", "materials"])

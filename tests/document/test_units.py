@@ -84,12 +84,10 @@ def test_tables_of_files_are_in_si_units_and_back():
     [
         ({"gap_mm": 5001}, "gap_mm = 5001: must be less than or equal to 5000"),
         ({"gap_mm": True}, "gap_mm"),
-        ({"gap_mm": "1"}, "gap_mm"),
         ({"gap_m": 0.1}, "gap_m: is not a known key"),
         ({"plants_front": 0}, "plants_front"),
     ],
 )
 def test_errors_are_in_the_unit_and_the_keys_of_the_file(change, message):
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError, match=message):
         validate(DoubleRow, ROW | change, "mine.toml")
-    assert message in str(error.value)

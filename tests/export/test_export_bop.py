@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import csv
-import json
-import shutil
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
-from bop_folder import annotations, corner_error, has_corners, load, project, scene_folder
+from bop_folder import annotations, corner_error, has_corners, load, scene_folder
 from data_sets import contents
+from label_set import edit_json
 from rendered_set import FRAMES, STEPS
 from scipy.spatial.distance import pdist
 
+from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.errors import InputError
@@ -23,8 +23,7 @@ from pepperscene.truth.encodings import decode_rle
 
 pytestmark = pytest.mark.slow
 
-LARGEST_PX, FAULT_PX = 0.05, 0.3
-LARGEST_MM = 0.05
+LARGEST_PX = LARGEST_MM = 0.05
 
 
 @pytest.fixture(scope="module")
@@ -37,52 +36,14 @@ def out(dataset, tmp_path_factory):
     return export_dataset(dataset.folder, "bop", tmp_path_factory.mktemp("bop") / "out").folder
 
 
-def silhouette(model, matrix, rotation, translation, shape):
-    """The pixels whose centre is in a projected triangle."""
-    mask = np.zeros(shape, bool)
-    pixels = project(model.vertices, matrix, rotation, translation)
-    for a, b, c in pixels[model.faces]:
-        low = np.maximum(np.ceil(np.min([a, b, c], axis=0)), 0).astype(int)
-        high = np.minimum(np.floor(np.max([a, b, c], axis=0)), [shape[1] - 1, shape[0] - 1]).astype(int)
-        if (low > high).any():
-            continue
-        x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
-        sides = [(q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) for p, q in ((a, b), (b, c), (c, a))]
-        inside = np.all(np.array(sides) >= 0, axis=0) | np.all(np.array(sides) <= 0, axis=0)
-        mask[low[1] : high[1] + 1, low[0] : high[0] + 1] |= inside
-    return mask
-
-
 def test_corners_of_models_project_to_those_of_the_fruit(dataset, out):
     info, count = load(out / "models" / "models_info.json"), 0
     for _, entry, number, *camera in annotations(dataset, out):
         size = np.array([info[str(number)][f"size_{axis}"] for axis in "xyz"])
         if has_corners(entry):
             assert corner_error(entry, size, *camera) < LARGEST_PX
-            matrix, rotation, translation = camera
-            for fault in (
-                (matrix, rotation.T, translation),
-                (matrix, rotation @ np.diag([1, -1, -1]), translation + np.array([0, 0, 1])),
-                (matrix, rotation, 1.02 * translation),
-                (matrix + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]), rotation, translation),
-            ):
-                assert corner_error(entry, size, *fault) > FAULT_PX
             count += 8
     assert count > 100
-
-
-def test_models_cover_their_amodal_masks(dataset, out):
-    checked = 0
-    for _, entry, number, *camera in annotations(dataset, out):
-        mask = decode_rle(entry["amodal"])
-        if mask.sum() < 300:
-            continue
-        model = trimesh.load(out / "models" / f"obj_{number:06d}.ply", process=False)
-        found = silhouette(model, *camera, mask.shape)
-        # The rays of the data set are in single precision: pixels on the outline may differ.
-        assert (found != mask).sum() <= 2
-        checked += 1
-    assert checked > 5
 
 
 def test_visible_surfaces_are_those_of_the_models(dataset, out):
@@ -172,58 +133,49 @@ def test_the_world_of_all_cameras_is_one(dataset, out):
 
 
 def test_splits_are_folders_and_bytes_are_reproducible(dataset, out, tmp_path):
-    again = export_dataset(dataset.folder, "bop", tmp_path / "again").folder
-    assert contents(again) == contents(out)
     split = export_dataset(dataset.folder, "bop", tmp_path / "split", "train=0:12,test=12:24").folder
     names = sorted(str(path.parent.relative_to(split)) for path in split.rglob("scene_gt.json"))
     assert names == ["test/000001", "train/000000"]
+    again = {name.replace("test/", "train/"): content for name, content in contents(split).items()}
+    assert again == contents(out)
     with pytest.raises(InputError, match="models is not allowed in the format bop"):
         export_dataset(dataset.folder, "bop", tmp_path / "none", "models=0:24")
 
 
-def change_info(folder, change):
-    path = folder / "dataset.json"
-    content = change(json.loads(path.read_text()))
-    path.write_text(json.dumps({**content, "checksum": checksum_of(content)}))
-
-
 @pytest.mark.parametrize(
-    ("key", "value", "message"),
+    ("change", "message"),
     [
-        (("recipe", "seed"), 5, "the plants that its recipe grows have no fruit like instance"),
-        (("recipe", "cultivar"), "mine", "cannot be grown again: cultivar = 'mine'"),
-        (("version",), "0.0.1", "version = '0.0.1': the plants cannot be grown again"),
-        (("files", "cultivar", "sha256"), "0" * 64, "recipe's files have changed"),
+        ({"recipe": {"seed": 5}}, "the plants that its recipe grows have no fruit like instance"),
+        ({"recipe": {"cultivar": "mine"}}, "cannot be grown again: cultivar = 'mine'"),
+        ({"version": "0.0.1"}, "version = '0.0.1': the plants cannot be grown again"),
+        ({"files": {"cultivar": {"sha256": "0" * 64}}}, "recipe's files have changed"),
     ],
 )
-def test_other_plants_are_an_error(key, value, message, dataset, tmp_path):
-    folder = shutil.copytree(dataset.folder, tmp_path / "set")
+def test_other_plants_are_an_error(change, message, dataset, copied, tmp_path):
+    def update(content, change=change):
+        for key, value in change.items():
+            if isinstance(value, dict):
+                update(content[key], value)
+            else:
+                assert key in content
+                content[key] = value
 
-    def change(content):
-        parent = content
-        for name in key[:-1]:
-            parent = parent[name]
-        assert key[-1] in parent
-        parent[key[-1]] = value
-        return content
-
-    change_info(folder, change)
+    folder = copied(dataset).folder
+    edit_json(folder / "dataset.json", update)
+    edit_json(folder / "dataset.json", lambda content: content.update(checksum=checksum_of(content)))
     with pytest.raises(InputError, match=message):
         export_dataset(folder, "bop", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_lens_with_distortion_and_a_missing_output_are_errors(traced, dataset, tmp_path, monkeypatch):
-    from pepperscene.dataset.dataset_frame import DatasetFrame
-
     def metadata(frame):
         content = open_dataset(dataset.folder).metadata(frame.index)
         content["camera"]["distortion"]["k1"] = 0.1
         return content
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(DatasetFrame, "metadata", property(metadata))
-        with pytest.raises(InputError, match=r"000005\.json: camera\.distortion = .* BOP has no distortion"):
-            export_dataset(dataset.folder, "bop", tmp_path / "out")
     with pytest.raises(InputError, match="frame 000000 has no output 'harvest'"):
         export_dataset(traced().folder, "bop", tmp_path / "out")
+    monkeypatch.setattr(DatasetFrame, "metadata", property(metadata))
+    with pytest.raises(InputError, match=r"000005\.json: camera\.distortion = .* BOP has no distortion"):
+        export_dataset(dataset.folder, "bop", tmp_path / "out")

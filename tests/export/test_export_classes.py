@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from label_set import (
     FRAMES,
     MAPPING,
     NAMES,
-    box_of,
     edit_json,
     expected_name,
     expected_objects,
     export,
     fruit_truth,
+    load_coco,
     read_yolo,
 )
 from typer.testing import CliRunner
@@ -23,47 +21,36 @@ from typer.testing import CliRunner
 from pepperscene.classes import OrganClass, parse_class_mapping
 from pepperscene.cli import app
 from pepperscene.dataset.readers import open_images
-from pepperscene.dataset.selection import parse_categories
-from pepperscene.dataset.store.crop import fruit_name
-from pepperscene.errors import ArgumentError
+from pepperscene.dataset.selection import Selection, parse_categories
+from pepperscene.dataset.store.crop import crop_name, fruit_name
+from pepperscene.errors import ArgumentError, InputError
+from pepperscene.export import FORMATS
+from pepperscene.export.run import _fruit_without_label
 from pepperscene.learning.class_table import ClassTable
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
-def load_coco(folder):
-    return json.loads((folder / "annotations" / "instances_train.json").read_text())
-
-
-def check_coco(dataset, folder):
-    """Every object has its mask and its class, and every other pixel of these classes is a crowd."""
-    content = load_coco(folder)
+def test_coco_has_the_classes_of_the_mapping(labels, tmp_path):
+    content = load_coco(export(labels, "coco", tmp_path / "out", classes=MAPPING))
     names = {one["id"]: one["name"] for one in content["categories"]}
-    assert tuple(names.values()) == NAMES
-    assert len({one["id"] for one in content["annotations"]}) == len(content["annotations"])
-    for index in dataset.indices():
+    assert list(names.items()) == list(zip((2, 8, 3, 1), NAMES, strict=True))
+    for index in labels.indices():
         records = [one for one in content["annotations"] if one["image_id"] == index]
         objects = {one["attributes"]["instance"]: one for one in records if not one["iscrowd"]}
-        expected = expected_objects(dataset, index)
+        expected = expected_objects(labels, index)
         assert objects.keys() == expected.keys()
         for value, (name, mask) in expected.items():
             found = mask_tools.decode(objects[value]["segmentation"]).astype(bool)
             assert (found == mask).all(), f"the mask of {value}"
             assert names[objects[value]["category_id"]] == name, f"the class of {value}"
-            assert objects[value]["bbox"] == box_of(mask)
-
-
-def test_coco_has_the_classes_of_the_mapping(labels, tmp_path):
-    folder = export(labels, "coco", tmp_path / "out", classes=MAPPING)
-    assert [one["id"] for one in load_coco(folder)["categories"]] == [2, 8, 3, 1]
-    check_coco(labels, folder)
 
 
 def test_fruit_of_unknown_ripeness_is_a_crowd_and_void(labels, tmp_path):
     folder = export(labels, "coco", tmp_path / "out", classes="ripe=pepper.ripe")
     content = load_coco(folder)
-    panoptic = json.loads((folder / "annotations" / "panoptic_train.json").read_text())
+    panoptic = load_coco(folder, "panoptic")
     for index, record in zip(FRAMES, panoptic["annotations"], strict=True):
         instance, truth = labels.image(index, "instance"), fruit_truth(labels, index)
         entries = {int(key): one for key, one in labels.metadata(index)["instances"].items()}
@@ -81,7 +68,7 @@ def test_fruit_of_unknown_ripeness_is_a_crowd_and_void(labels, tmp_path):
 def test_rests_of_a_merged_class_are_one_segment(labels, tmp_path):
     """A reader of panoptic segments keeps one crowd of each category."""
     folder = export(labels, "coco", tmp_path / "out", classes="stalk=peduncle+stem", smallest_px=10_000)
-    panoptic = json.loads((folder / "annotations" / "panoptic_train.json").read_text())
+    panoptic = load_coco(folder, "panoptic")
     for record in panoptic["annotations"]:
         assert [(one["id"], one["category_id"]) for one in record["segments_info"]] == [
             (65536, 0),
@@ -122,26 +109,11 @@ def test_crowds_of_merged_and_divided_classes(classes, fruit, organs, labels, tm
             assert (np.any(masks, axis=0) == np.isin(instance, expected)).all()
 
 
-def test_yolo_numbers_the_classes_of_the_mapping(labels, tmp_path):
-    folder = export(labels, "yolo", tmp_path / "out", classes=MAPPING, smallest_px=1)
-    lines = (folder / "data.yaml").read_text().partition("names:\n")[2].splitlines()
-    assert lines == [f"  {number}: {name}" for number, name in enumerate(NAMES)]
-    for index in FRAMES:
-        counts = [0] * len(NAMES)
-        for name, _ in expected_objects(labels, index).values():
-            counts[NAMES.index(name)] += 1
-        found = np.bincount([number for number, _ in read_yolo(folder / f"labels/train/{index:06d}.txt")])
-        # An organ in pieces may have several polygons.
-        assert (found >= counts).all()
-        assert (found > 0).all()
-
-
-@pytest.mark.parametrize("ripe_from", [0.2, 0.5, 0.9])
-def test_ripeness_divides_at_the_given_value(ripe_from, labels, tmp_path):
-    content = load_coco(export(labels, "coco", tmp_path / "out", classes=MAPPING, ripe_from=ripe_from))
+def test_ripeness_divides_at_the_given_value(labels, tmp_path):
+    content = load_coco(export(labels, "coco", tmp_path / "out", classes=MAPPING, ripe_from=0.9))
     names = {one["id"]: one["name"] for one in content["categories"]}
     for index in FRAMES:
-        expected = {k: name for k, (name, _) in expected_objects(labels, index, ripe_from=ripe_from).items()}
+        expected = {k: name for k, (name, _) in expected_objects(labels, index, ripe_from=0.9).items()}
         found = {
             one["attributes"]["instance"]: names[one["category_id"]]
             for one in content["annotations"]
@@ -150,9 +122,33 @@ def test_ripeness_divides_at_the_given_value(ripe_from, labels, tmp_path):
         assert found == expected
 
 
-@pytest.mark.parametrize("format_name", ["coco", "yolo_detect"])
-def test_dropped_organs_are_those_that_the_border_may_cut(format_name, labels, tmp_path):
-    folder = export(labels, format_name, tmp_path / "out", truncated="drop", smallest_px=1)
+def test_hidden_fruit_is_a_crowd_in_coco_and_left_out_in_yolo(painted, tmp_path):
+    options = {"classes": "pepper", "least_visible": 0.6, "smallest_px": 1}
+    content = load_coco(export(painted, "coco", tmp_path / "coco", **options))
+    yolo = export(painted, "yolo_detect", tmp_path / "yolo", **options)
+    hidden_pixels = 0
+    for index in painted.indices():
+        truth = {one["instance"]: one for one in painted.image(index, "harvest")["fruit"]}
+        expected = {value for value, one in truth.items() if one["visible_fraction"] >= 0.6}
+        assert 0 < len(expected) < len(truth)
+        records = [one for one in content["annotations"] if one["image_id"] == index]
+        objects = {one["attributes"]["instance"] for one in records if not one["iscrowd"]}
+        assert objects == expected
+        fruit = {
+            int(key): entry["pixels"]
+            for key, entry in painted.metadata(index)["instances"].items()
+            if entry["class"] == OrganClass.PEPPER
+        }
+        area = sum(pixels for value, pixels in fruit.items() if value not in expected)
+        assert sum(one["area"] for one in records if one["iscrowd"]) == area
+        hidden_pixels += area
+        assert len(read_yolo(yolo / f"labels/train/{index:06d}.txt")) == len(expected)
+    assert hidden_pixels > 0
+
+
+def test_dropped_organs_are_those_that_the_border_may_cut(labels, tmp_path):
+    content = load_coco(export(labels, "coco", tmp_path / "out", truncated="drop", smallest_px=1))
+    truncated = 0
     for index in FRAMES:
         instance, truth = labels.image(index, "instance"), fruit_truth(labels, index)
         border = {*instance[[0, -1]].ravel().tolist(), *instance[:, [0, -1]].ravel().tolist()}
@@ -162,46 +158,86 @@ def test_dropped_organs_are_those_that_the_border_may_cut(format_name, labels, t
             cut = truth[value]["truncated"] if value in truth else value in border
             if entry["class"] and entry["plant"] >= 0 and not cut:
                 kept.add(value)
-        hidden = [v for v, one in truth.items() if one["truncated"] and v not in border]
         assert len(kept) > 100
-        if format_name == "coco":
-            records = [one for one in load_coco(folder)["annotations"] if one["image_id"] == index]
-            assert {one["attributes"]["instance"] for one in records if not one["iscrowd"]} == kept
-            assert not kept & set(hidden)
-        else:
-            assert len(read_yolo(folder / f"labels/train/{index:06d}.txt")) == len(kept)
-    assert any(fruit["truncated"] for index in FRAMES for fruit in fruit_truth(labels, index).values())
+        records = [one for one in content["annotations"] if one["image_id"] == index]
+        assert {one["attributes"]["instance"] for one in records if not one["iscrowd"]} == kept
+        truncated += sum(one["truncated"] for one in truth.values())
+    assert truncated
 
 
 @pytest.mark.parametrize(
-    ("cultivar", "fruit", "crop"),
+    ("format_name", "classes", "greenhouse", "is_warned"),
     [
-        ("kaite", "pepper", "sweet pepper"),
-        ("tomato", "tomato", "Solanum lycopersicum"),
-        ("cucumber", "cucumber", "Cucumis sativus"),
-        ("eggplant", "eggplant", "Solanum melongena"),
-        ("cucumber_of_mine", "fruit", "cucumber_of_mine"),
+        ("yolo_detect", "pepper.ripe", {"far_rows": 2, "far_rows_as": "labels"}, True),
+        ("yolo", "pepper.ripe,leaf", {"far_rows": 1, "far_rows_as": "labels"}, True),
+        ("yolo_detect", "pepper", {"far_rows": 2, "far_rows_as": "labels"}, False),
+        ("yolo_detect", "pepper.ripe", {"far_rows": 2, "far_rows_as": "background"}, False),
+        ("yolo_detect", "pepper.ripe", {"far_rows": 0, "far_rows_as": "labels"}, False),
+        ("yolo_detect", "pepper.ripe", None, False),
+        ("coco", "pepper.ripe", {"far_rows": 2, "far_rows_as": "labels"}, False),
     ],
 )
-def test_fruit_has_the_name_of_its_crop(cultivar, fruit, crop, labels, copied, tmp_path):
+def test_yolo_warns_of_far_fruit_of_unknown_ripeness(format_name, classes, greenhouse, is_warned):
+    info = {"recipe": {"greenhouse": greenhouse}}
+    warning = _fruit_without_label(FORMATS[format_name], Selection(parse_categories(classes)), info)
+    assert ("ripeness is not known" in warning) == is_warned
+
+
+def test_ripeness_needs_the_harvest_truth(labels, copied, tmp_path):
     dataset = copied(labels)
-    edit_json(dataset.folder / "dataset.json", lambda info: info["recipe"].update(cultivar=cultivar))
+    (dataset.folder / "harvest" / f"{FRAMES[1]:06d}.json").unlink()
+    with pytest.raises(InputError, match="no output 'harvest'"):
+        export(dataset, "coco", tmp_path / "out", ripe_from=0.5)
+
+
+# Names of the crop and its fruit.
+
+
+def test_fruit_has_the_name_of_its_crop(labels, copied, tmp_path):
+    dataset = copied(labels)
+    edit_json(dataset.folder / "dataset.json", lambda info: info["recipe"].update(cultivar="tomato"))
     content = load_coco(export(dataset, "coco", tmp_path / "whole"))
     names = [one["name"] for one in content["categories"]]
-    assert names == ["leaf", fruit, "peduncle", "stem", "shoot", "wire", "cut"]
-    assert {one["supercategory"] for one in content["categories"]} == {crop}
+    assert names == ["leaf", "tomato", "peduncle", "stem", "shoot", "wire", "cut"]
+    assert {one["supercategory"] for one in content["categories"]} == {"Solanum lycopersicum"}
     options = {"classes": "pepper,mine=leaf", "ripe_from": 0.5}
     content = load_coco(export(dataset, "coco", tmp_path / "divided", **options))
-    assert [one["name"] for one in content["categories"]] == [f"ripe {fruit}", f"unripe {fruit}", "mine"]
+    assert [one["name"] for one in content["categories"]] == ["ripe tomato", "unripe tomato", "mine"]
     # The reader knows these names.
     images = open_images(tmp_path / "whole")
     assert (images[0].classes == dataset.image(FRAMES[0], "class")).all()
 
 
-def test_several_crops_have_fruit():
-    recipe = {"cultivar": "kaite", "twins": {"cultivar": ["tomato", "kaite"]}}
-    assert fruit_name({"recipe": recipe}) == "fruit"
-    assert fruit_name({"recipe": {"cultivar": "kaite", "twins": {"cultivar": ["red_blocky"]}}}) == "pepper"
+@pytest.mark.parametrize(
+    ("recipe", "crop", "fruit"),
+    [
+        ({}, "sweet pepper", "pepper"),
+        ({"cultivar": "red_blocky"}, "sweet pepper", "pepper"),
+        ({"cultivar": "tomato"}, "Solanum lycopersicum", "tomato"),
+        ({"cultivar": "cucumber"}, "Cucumis sativus", "cucumber"),
+        ({"cultivar": "eggplant"}, "Solanum melongena", "eggplant"),
+        ({"cultivar": "cucumber_of_mine"}, "cucumber_of_mine", "fruit"),
+        ({"cultivar": "../plants/tomato"}, "../plants/tomato", "fruit"),
+        ({"twins": {"cultivar": ["tomato", "kaite"]}}, "Solanum lycopersicum and sweet pepper", "fruit"),
+        ({"twins": {"cultivar": ["red_blocky"]}}, "sweet pepper", "pepper"),
+        (
+            {"variation": {"cultivar": {"in_turn": ["kaite", "tomato"]}}},
+            "sweet pepper and Solanum lycopersicum",
+            "fruit",
+        ),
+        (
+            {"variation": {"cultivar": {"outcomes": [["kaite", 0.5], ["red_blocky", 0.5]]}}},
+            "sweet pepper",
+            "pepper",
+        ),
+    ],
+)
+def test_crops_are_named_by_their_cultivars(recipe, crop, fruit):
+    info = {"recipe": {"cultivar": "kaite", **recipe}}
+    assert (crop_name(info), fruit_name(info)) == (crop, fruit)
+
+
+# The notation of classes.
 
 
 def test_one_notation_for_classes_of_exports_and_networks():
@@ -243,7 +279,6 @@ def test_wrong_mappings_are_refused_in_one_sentence(text, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--classes", "fruit=apple"), "--classes: 'apple' is none of leaf"),
         (("--truncated", "cut"), "--truncated: 'cut' must be keep or drop"),
         (("--ripe", ".5", "--classes", "leaf"), "--ripe: needs pepper as a class of its own"),
         (("--ripe", ".5", "--classes", "a=pepper+leaf"), "--ripe: needs pepper as a class of its own"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from data_sets import FRUIT
+from PIL import Image
 
 from pepperscene.dataset.store.manifest import FRUIT_COLUMNS
 from pepperscene.export import export_dataset
@@ -35,14 +36,9 @@ def test_datasets_reads_every_pixel(splits, small):
                 np.testing.assert_array_equal(row[column], expected)
                 assert row[column].dtype == expected.dtype
             np.testing.assert_array_equal(row["distance"], small.image(index, "distance"))
-
-
-def test_images_are_decoded_by_default(splits, small):
-    from PIL import Image
-
-    row = splits["train"][1]
-    assert all(isinstance(row[column], Image.Image) for column in ("image", "mask", "instances"))
-    np.testing.assert_array_equal(np.asarray(row["mask"]), small.image(1, "class"))
+    image = splits["train"][1]["mask"]
+    assert isinstance(image, Image.Image)
+    np.testing.assert_array_equal(np.asarray(image), small.image(1, "class"))
 
 
 def test_metadata_are_columns(splits, small):
@@ -50,7 +46,9 @@ def test_metadata_are_columns(splits, small):
     assert row["pixels"] == metadata["class_pixels"]
     assert all(row[key] == metadata[key] for key in ("set", "rotation", "step"))
     assert row["pose"] == metadata["camera"]["pose"]
-    assert row["camera"]["fx"] == metadata["camera"]["fx"]
+    camera = {**metadata["camera"], **metadata["camera"]["distortion"]}
+    assert {"fx", "fy", "cx", "cy", "k1"} <= row["camera"].keys()
+    assert row["camera"] == {key: camera[key] for key in row["camera"]}
     assert [(organ["instance"], organ["kind"]) for organ in row["organs"]] == [
         (int(number), entry["kind"]) for number, entry in metadata["instances"].items()
     ]

@@ -68,15 +68,13 @@ def test_images_have_grey_values_not_a_palette(out):
         assert image.mode == "RGB"
 
 
-@pytest.mark.parametrize("outputs", [None, ("colour", "class", "distance")])
-def test_reader_of_the_published_set_reads_the_export(outputs, painted, out, tmp_path):
-    if outputs is not None:
-        # Derived outputs are not required.
-        painted = make_painted_set(tmp_path / "set", outputs)
-        out = export_dataset(painted.folder, "published", tmp_path / "out").folder
+def test_reader_of_the_published_set_reads_the_export(tmp_path):
+    # Derived outputs are not required.
+    painted = make_painted_set(tmp_path / "set", ("colour", "class", "distance"), FRAMES[:2])
+    out = export_dataset(painted.folder, "published", tmp_path / "out").folder
     images = open_images(out)
-    assert images.names() == ("1", "2", "3", "4", "5", "6")
-    for image, index in zip(images, FRAMES, strict=True):
+    assert images.names() == ("1", "2")
+    for image, index in zip(images, FRAMES[:2], strict=True):
         assert (image.colour == painted.image(index, "colour")).all()
         assert (image.classes == painted.image(index, "class")).all()
         colours = read_image(out / file_names(image.name)["class_colour"])

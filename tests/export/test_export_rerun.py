@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from rerun_recording import IMAGE, Recording
@@ -30,12 +32,9 @@ def surfaces(matrix, pose):
     return depth, (sphere < wall).reshape(HEIGHT, WIDTH), colours.reshape(HEIGHT, WIDTH, 3)
 
 
-def errors(recording, frame, matrix=None, pose=None):
+def errors(recording, frame):
     """Median difference of depth in mm, IoU of the sphere, and median difference of colours in codes."""
-    read = recording.camera(frame)
-    depth, is_sphere, colours = surfaces(
-        read[0] if matrix is None else matrix, read[1] if pose is None else pose
-    )
+    depth, is_sphere, colours = surfaces(*recording.camera(frame))
     depth_mm = recording.image("depth", frame).astype(float)
     both = (depth_mm > 0) & np.isfinite(depth)
     found = recording.image("classes", frame) == 2
@@ -45,11 +44,9 @@ def errors(recording, frame, matrix=None, pose=None):
     return np.median(np.abs(depth_mm - 1e3 * depth)[both]), iou, np.median(difference)
 
 
-@pytest.mark.parametrize("lens", ["pinhole", "brown", "rational", "fisheye"])
-def test_every_pixel_shows_what_the_recorded_pinhole_camera_sees(lens, traced, tmp_path):
-    dataset = traced(lens)
-    export_dataset(dataset.folder, "rerun", tmp_path / "out")
-    recording = Recording(tmp_path / "out" / RECORDING)
+@pytest.mark.parametrize("lens", ["pinhole", "rational", "fisheye"])
+def test_every_pixel_shows_what_the_recorded_pinhole_camera_sees(lens, traced, exported):
+    dataset, recording = traced(lens), Recording(exported("rerun", lens) / RECORDING)
     assert recording.frames == list(dataset.indices())
     for frame in recording.frames:
         depth_mm, iou, codes = errors(recording, frame)
@@ -59,10 +56,8 @@ def test_every_pixel_shows_what_the_recorded_pinhole_camera_sees(lens, traced, t
         assert codes < 1.5
 
 
-def test_images_of_a_pinhole_camera_are_those_of_the_data_set(traced, tmp_path):
-    dataset = traced()
-    export_dataset(dataset.folder, "rerun", tmp_path / "out")
-    recording = Recording(tmp_path / "out" / RECORDING)
+def test_images_of_a_pinhole_camera_are_those_of_the_data_set(traced, exported):
+    dataset, recording = traced(), Recording(exported("rerun") / RECORDING)
     for frame in dataset.indices():
         assert (
             bytes(recording.get(f"{IMAGE}/colour", "EncodedImage:blob", frame)[0])
@@ -92,19 +87,17 @@ def test_boxes_enclose_the_organs(traced, tmp_path):
         assert (columns["class_ids"], columns["labels"]) == ([2], [f"fruit {FRUIT}"])
 
 
-def test_ignored_pixels_have_a_class_of_their_own(tmp_path):
-    dataset = make_traced_set(tmp_path / "set", **{"greenhouse.far_rows_as": "ignore"})
-    export_dataset(dataset.folder, "rerun", tmp_path / "out")
+def test_ignored_pixels_have_a_class_of_their_own(ignoring, tmp_path):
+    export_dataset(ignoring.folder, "rerun", tmp_path / "out", frames="0:1")
     recording = Recording(tmp_path / "out" / RECORDING)
-    ignored = dataset.image(0, "instance") == IGNORED
+    ignored = ignoring.image(0, "instance") == IGNORED
     np.testing.assert_array_equal(recording.image("classes", 0) == 255, ignored)
     names = [entry["class_id"] for entry in recording.get("/world", "AnnotationContext:context")[0]]
     assert names == [*range(8), 255]
 
 
-def test_several_scenes_have_a_recording_each(tmp_path):
-    dataset = make_traced_set(tmp_path / "set", frames=(0, 1, 2, 3), **{"plan.sets": 2, "plan.frames": 2})
-    out = export_dataset(dataset.folder, "rerun", tmp_path / "out").folder
+def test_several_scenes_have_a_recording_each(two_scenes, tmp_path):
+    out = export_dataset(two_scenes.folder, "rerun", tmp_path / "out").folder
     for name, frames in (("set_000_rotation_000", [0, 1]), ("set_001_rotation_000", [2, 3])):
         assert Recording(out / name / RECORDING).frames == frames
         (entry,) = chunk.RrdReader(out / name / RECORDING).recordings()
@@ -115,7 +108,7 @@ def test_missing_outputs_and_package_are_one_sentence(tmp_path, monkeypatch):
     dataset = make_traced_set(tmp_path / "set", outputs=("colour", "class", "instance"))
     with pytest.raises(InputError, match="frame 000000 has no output 'distance'"):
         export_dataset(dataset.folder, "rerun", tmp_path / "out")
-    monkeypatch.setitem(__import__("sys").modules, "rerun", None)
+    monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(SetupError, match=r"needs rerun, which is not installed.*pepperscene\[rerun\]"):
         export_dataset(dataset.folder, "rerun", tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,16 +1,23 @@
-"""Splits: every frame in one of them, and no plant in two if possible."""
+"""Splits: every frame in one, and no plant in two if possible; sets with drawn values, twins and a rig."""
 
 from __future__ import annotations
 
+import json
+import tarfile
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from label_set import load_coco
 from typer.testing import CliRunner
+from varied_set import FRAMES, make_varied_set
 
 from pepperscene.cli import app
 from pepperscene.dataset.splits import shared_plants
 from pepperscene.errors import InputError
-from pepperscene.export import Splits, read_splits, split_by_sets
+from pepperscene.export import Splits, export_dataset, read_splits, split_by_sets
+from pepperscene.recipe.plan import Plan, frames_of_moments, moments
 
 PLAN = {"sets": 6, "rotations": 7, "frames": 250}
 NAMES = ("train", "val", "test", "spare")
@@ -85,7 +92,6 @@ def test_default_split_is_train():
     [
         ("", "must be NAME=FRACTION or NAME=A:B"),
         ("train", "must be NAME=FRACTION or NAME=A:B"),
-        ("Train=1", "lower-case"),
         ("../x=1", "lower-case"),
         ("train=.8,val=.1", "sum to 0.9"),
         ("train=.5,train=.5", "two fractions"),
@@ -108,13 +114,18 @@ def test_rejects_invalid_text(text, message):
     assert message in str(error.value)
 
 
-def test_rejects_more_splits_than_frames():
+def test_rejects_more_splits_than_frames_or_moments():
     with pytest.raises(InputError, match="2 frames cannot make 3 splits"):
         read_splits("train=.8,val=.1,test=.1", PLAN, (4, 9))
-    with pytest.raises(ValueError, match="cannot make"):
-        split_by_sets(PLAN, {"train": 0.5, "val": 0.5}, [7])
     with pytest.raises(ValueError, match="sum to 1"):
         split_by_sets(PLAN, {"train": 0.5})
+    plan = {"sets": 1, "rotations": 1, "frames": 2, "twins": 2, "cameras": 2}
+    with pytest.raises(InputError, match="8 frames of 2 moments cannot make 3 splits"):
+        read_splits("train=.5,val=.3,test=.2", plan, range(8))
+    with pytest.raises(InputError, match=r"frame 4 in val and frame 0 in train show the same moment"):
+        read_splits("train=0:4,val=4:8", plan, range(8))
+    # Only frames that exist count.
+    assert read_splits("train=0:4,val=4:8", plan, [0, 1, 6, 7]).split_of(6) == "val"
 
 
 @given(split_cases(), st.integers(1, 3), st.integers(1, 3))
@@ -175,18 +186,90 @@ def test_warning_says_which_splits_share_plants_and_what_helps(members, warning)
     assert shared_plants(members, PLAN) == warning
 
 
-@pytest.mark.parametrize(
-    ("split", "warning"),
-    [
-        ("train=0:4,val=4:12", "train and val show the same plants in another order"),
-        ("train=.5,val=.5", ""),
-        ("train=1", ""),
-    ],
+def test_command_prints_the_warning(painted, tmp_path):
+    command = ["export", str(painted.folder), "--format", "published", "--frames", "0:6"]
+    for split, warnings in (("train=0:4,val=4:6", 1), ("train=1", 0)):
+        done = CliRunner().invoke(app, [*command, "--out", str(tmp_path / split), "--split", split])
+        assert done.exit_code == 0
+        lines = [line for line in done.stderr.splitlines() if "warning" in line]
+        expected = "warning: train and val show the same plants in another order"
+        assert [line.startswith(expected) for line in lines] == [True] * warnings
+
+
+# Moments of recipes with twins and a rig.
+
+plans = st.builds(
+    Plan, **{name: st.integers(1, 4) for name in ("sets", "rotations", "frames", "twins", "cameras")}
 )
-def test_command_prints_the_warning(split, warning, painted, tmp_path):
-    command = ["export", str(painted.folder), "--format", "yolo_detect", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(app, [*command, "--split", split])
-    assert done.exit_code == 0
-    lines = [line for line in done.stderr.splitlines() if "warning" in line]
-    assert len(lines) == bool(warning)
-    assert all(line.startswith(f"warning: {warning}") for line in lines)
+
+
+@given(plans)
+def test_moments_are_those_of_the_plan(plan):
+    expected = [plan.frame(index).moment for index in range(plan.count)]
+    assert moments(plan, range(plan.count)).tolist() == expected
+
+
+@given(plans, st.data())
+def test_ranges_of_moments_hold_all_of_their_frames(plan, data):
+    count = plan.sets * plan.rotations * plan.frames
+    first = data.draw(st.integers(0, count))
+    end = data.draw(st.integers(first, count))
+    found = [index for indices in frames_of_moments(plan, first, end) for index in indices]
+    assert found == [i for i in range(plan.count) if first <= plan.frame(i).moment < end]
+
+
+def test_a_single_scene_is_split_by_moments_of_all_twins():
+    plan = {"sets": 1, "rotations": 1, "frames": 10, "twins": 2, "cameras": 2}
+    members = read_splits("train=.8,val=.2", plan, range(40)).members(range(40))
+    assert members["val"] == (*range(16, 20), *range(36, 40))
+
+
+# Records of drawn values.
+
+KEYS = ("moment", "twin", "rig_camera", "drawn")
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory):
+    return make_varied_set(tmp_path_factory.mktemp("varied") / "set")
+
+
+def test_coco_images_have_drawn_values(varied, tmp_path):
+    export_dataset(varied.folder, "coco", tmp_path / "coco")
+    images = load_coco(tmp_path / "coco")["images"]
+    assert len(images) == FRAMES
+    for image in images:
+        metadata = varied.metadata(image["id"])
+        assert {key: image[key] for key in KEYS} == {key: metadata[key] for key in KEYS}
+
+
+def test_huggingface_rows_have_drawn_values(varied, tmp_path):
+    from pyarrow import parquet
+
+    export_dataset(varied.folder, "huggingface", tmp_path / "hf")
+    rows = parquet.read_table(tmp_path / "hf/data").to_pylist()
+    for index, row in enumerate(rows):
+        metadata = varied.metadata(index)
+        assert {key: row[key] for key in KEYS[:3]} == {key: metadata[key] for key in KEYS[:3]}
+        assert json.loads(row["drawn"]) == metadata["drawn"]
+    card = (tmp_path / "hf/README.md").read_text()
+    assert all(f"| `{key}` |" in card for key in KEYS)
+
+
+def test_webdataset_samples_have_drawn_values(varied, tmp_path):
+    export_dataset(varied.folder, "webdataset", tmp_path / "wds")
+    with tarfile.open(tmp_path / "wds/train-000000.tar") as shard:
+        samples = [json.load(shard.extractfile(m)) for m in shard.getmembers() if m.name.endswith(".json")]
+    assert len(samples) == FRAMES
+    assert all(np.isfinite(sample["drawn"]["camera.exposure_us"]) for sample in samples)
+    assert {sample["rig_camera"] for sample in samples} == {"main", "right"}
+
+
+def test_cameras_of_a_rig_and_twins_are_sequences(varied, tmp_path):
+    out = export_dataset(varied.folder, "rgbd", tmp_path / "out").folder
+    assert len(list(out.iterdir())) == 2 * 2 * 2  # sets, twins, cameras
+    files = sorted((out / "set_001_rotation_000_twin_1_camera_1" / "rgb").iterdir())
+    assert len(files) == 3
+    for file in files:
+        metadata = varied.metadata(int(file.stem))
+        assert (metadata["set"], metadata["twin"], metadata["rig_camera"]) == (1, 1, "right")

@@ -36,7 +36,7 @@ def read(shards, decoder="rgb8"):
     return by_key
 
 
-@pytest.mark.parametrize("decoder", ["rgb8", "rgb", "pil"])
+@pytest.mark.parametrize("decoder", ["rgb8", "rgb"])
 def test_webdataset_reads_every_sample(out, small, decoder):
     samples = read(out.glob("train-*.tar"), decoder)
     assert sorted(samples) == [f"{index:06d}" for index in small.indices()]
@@ -84,9 +84,9 @@ def test_every_split_has_its_shards(tmp_path, small):
 
 
 def test_frames_are_shuffled_and_members_have_no_times_or_owners(out):
-    order = list(read(out.glob("*.tar")))
-    assert order != sorted(order)
     with tarfile.open(next(out.glob("*.tar"))) as tar:
+        order = list(dict.fromkeys(name.partition(".")[0] for name in tar.getnames()))
+        assert order != sorted(order)
         assert {(member.mtime, member.uid, member.uname) for member in tar} == {(0, 0, "")}
 
 

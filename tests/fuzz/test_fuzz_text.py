@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import re
 import tomllib
+from functools import cache
 
+import numpy as np
+import pytest
 import tomli_w
 from fuzzing import EXAMPLES, NUMBERS, attempt, attempt_file
 from hypothesis import strategies as st
+from PIL import Image
 
 from pepperscene import open_patches
 from pepperscene.building.execution.slurm import read_slurm_file
 from pepperscene.camera import Camera, load_filter, load_flash, load_lens, load_sensor
 from pepperscene.cultivar import load_cultivar
-from pepperscene.document import read_toml
+from pepperscene.cultivar.notation import Length
+from pepperscene.document import Document, read_toml, validate
 from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 from pepperscene.scene import load_cover
 from pepperscene.shipped import shipped_folder
@@ -69,141 +74,111 @@ def with_absolute_files(kind):
     return contents
 
 
-@EXAMPLES
-def test_any_toml_document(examples, tmp_path):
-    contents = files(RECIPES) + files(MATERIALS / "lenses") + [PATCHES]
-    attempt_file(examples, tmp_path / "file.toml", contents, read_toml)
+BOUNDS = b"""
+[leaf.chlorophyll]
+mean = 40
+sd = 5
+low = 20
+high = 200
+chosen = "as measured"
+
+["flash.colour"]
+relative = "times"
+mean = 1
+sd = 0.1
+low = 0.5
+high = 2
+chosen = "a"
+"""
 
 
-@EXAMPLES
-def test_recipe(examples, tmp_path):
-    attempt_file(examples, tmp_path / "recipe.toml", files(RECIPES), resolve_recipe)
-
-
-@EXAMPLES
-def test_cultivar(examples, tmp_path):
-    contents = [(PLANTS / f"{name}.toml").read_bytes() for name in ("kaite", "kaite_february", "tomato")]
-    attempt_file(examples, tmp_path / "plant.toml", contents, load_cultivar)
-
-
-@EXAMPLES
-def test_sensor(examples, tmp_path):
-    lens = load_lens("lensagon_cmfa0420nd")
-    contents = with_absolute_files("sensors")
-    attempt_file(examples, tmp_path / "s.toml", contents, lambda path: Camera(lens, load_sensor(path)))
-
-
-@EXAMPLES
-def test_lens(examples, tmp_path):
-    sensor = load_sensor("ueye_ui5250re")
-    contents = with_absolute_files("lenses")
-    attempt_file(examples, tmp_path / "lens.toml", contents, lambda path: Camera(load_lens(path), sensor))
-
-
-@EXAMPLES
-def test_flash(examples, tmp_path):
-    attempt_file(
-        examples,
-        tmp_path / "flash.toml",
-        with_absolute_files("flashes"),
-        lambda path: load_flash(path).radiant_intensity([450.0, 550.0]),
-    )
-
-
-@EXAMPLES
-def test_filter(examples, tmp_path):
-    sensor = load_sensor("ueye_ui5250re")
-    attempt_file(
-        examples,
-        tmp_path / "filter.toml",
-        with_absolute_files("filters"),
-        lambda path: sensor.with_filter(load_filter(path).transmittance),
-    )
-
-
-@EXAMPLES
-def test_cover(examples, tmp_path):
-    attempt_file(examples, tmp_path / "cover.toml", with_absolute_files("covers"), load_cover)
-
-
-@EXAMPLES
-def test_provenance(examples, tmp_path):
-    (tmp_path / "s.csv").write_text("wavelength_nm,a\n400,1\n500,1\n")
-    attempt_file(
-        examples,
-        tmp_path / "s.toml",
-        files(MATERIALS / "light") + files(MATERIALS / "leaf"),
-        lambda path: read_provenance(path.with_suffix(".csv")),
-    )
-
-
-@EXAMPLES
-def test_patches(examples, tmp_path):
-    import numpy as np
-    from PIL import Image
-
-    (tmp_path / "pictures").mkdir()
-    Image.fromarray(np.full((20, 30, 3), 90, np.uint8)).save(tmp_path / "pictures" / "p1.png")
-    attempt_file(examples, tmp_path / "patches.toml", [PATCHES], open_patches)
-
-
-@EXAMPLES
-def test_bounds(examples, tmp_path):
+@cache
+def bounds_arguments():
     resolved = resolve_recipe("demo")
     available = all_parameters(resolved.cultivar, resolved.camera)
-    content = b'[leaf.chlorophyll]\nmean = 40\nsd = 5\nlow = 20\nhigh = 200\nchosen = "as measured"\n\n'
-    content += (
-        b'["flash.colour"]\nrelative = "times"\nmean = 1\nsd = 0.1\nlow = 0.5\nhigh = 2\nchosen = "a"\n'
-    )
-    chosen = [parameter for name, parameter in available.items() if name == "leaf.chlorophyll"]
+    return [available["leaf.chlorophyll"]], tuple(available.values())
 
-    def read(path):
-        prior_distributions(chosen, available.values(), path)
 
-    attempt_file(examples, tmp_path / "bounds.toml", [content], read)
+def read_patches(path):
+    pictures = path.parent / "pictures"
+    pictures.mkdir(exist_ok=True)
+    if not (pictures / "p1.png").exists():
+        Image.fromarray(np.full((20, 30, 3), 90, np.uint8)).save(pictures / "p1.png")
+    open_patches(path)
+
+
+def read_provenance_beside(path):
+    path.with_suffix(".csv").write_text("wavelength_nm,a\n400,1\n500,1\n")
+    read_provenance(path.with_suffix(".csv"))
+
+
+def read_sensor_of(path):
+    """The sensor whose curves the path has."""
+    sensor = tomllib.loads((MATERIALS / "sensors" / "nikon_d5100.toml").read_text(encoding="utf-8"))
+    sensor["quantum_efficiency"]["file"] = str(path)
+    path.with_name("s.toml").write_text(tomli_w.dumps(sensor), encoding="utf-8")
+    Camera(LENS, load_sensor(path.with_name("s.toml")))
+
+
+LENS, SENSOR = load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re")
+READERS = {
+    "any.toml": (
+        lambda: files(RECIPES) + files(MATERIALS / "lenses") + [PATCHES],
+        read_toml,
+    ),
+    "recipe.toml": (lambda: files(RECIPES), resolve_recipe),
+    "plant.toml": (
+        lambda: [(PLANTS / f"{name}.toml").read_bytes() for name in ("kaite", "kaite_february", "tomato")],
+        load_cultivar,
+    ),
+    "sensor.toml": (lambda: with_absolute_files("sensors"), lambda path: Camera(LENS, load_sensor(path))),
+    "lens.toml": (lambda: with_absolute_files("lenses"), lambda path: Camera(load_lens(path), SENSOR)),
+    "flash.toml": (
+        lambda: with_absolute_files("flashes"),
+        lambda path: load_flash(path).radiant_intensity([450.0, 550.0]),
+    ),
+    "filter.toml": (
+        lambda: with_absolute_files("filters"),
+        lambda path: SENSOR.with_filter(load_filter(path).transmittance),
+    ),
+    "cover.toml": (lambda: with_absolute_files("covers"), load_cover),
+    "provenance.toml": (
+        lambda: files(MATERIALS / "light") + files(MATERIALS / "leaf"),
+        read_provenance_beside,
+    ),
+    "patches.toml": (lambda: [PATCHES], read_patches),
+    "bounds.toml": (lambda: [BOUNDS], lambda path: prior_distributions(*bounds_arguments(), path)),
+    "jobs.toml": (lambda: [code_block("how-to/cluster.md", "toml", "# jobs.toml")], read_slurm_file),
+    "curves.csv": (
+        lambda: [
+            (MATERIALS / name).read_bytes()
+            for name in ("light/houser2013_cool_white_led.csv", "sensors/spectra/onsemi_mt9v024_rgb_qe.csv")
+        ],
+        read_spectra,
+    ),
+    "efficiency.csv": (
+        lambda: [
+            (
+                MATERIALS
+                / "sensors"
+                / read_toml(MATERIALS / "sensors/nikon_d5100.toml")["quantum_efficiency"]["file"]
+            ).read_bytes()
+        ],
+        read_sensor_of,
+    ),
+}
+"""Contents of valid files, and what reads them, by the name of a file."""
 
 
 @EXAMPLES
-def test_slurm_jobs(examples, tmp_path):
-    content = code_block("how-to/cluster.md", "toml", "# jobs.toml")
-    attempt_file(examples, tmp_path / "jobs.toml", [content], read_slurm_file)
+@pytest.mark.parametrize("name", READERS)
+def test_file(examples, tmp_path, name):
+    contents, read = READERS[name]
+    attempt_file(examples, tmp_path / name, contents(), read)
 
 
-@EXAMPLES
-def test_spectra(examples, tmp_path):
-    contents = [
-        (MATERIALS / name).read_bytes()
-        for name in ("light/houser2013_cool_white_led.csv", "sensors/spectra/onsemi_mt9v024_rgb_qe.csv")
-    ]
-    attempt_file(examples, tmp_path / "curves.csv", contents, read_spectra)
-
-
-@EXAMPLES
-def test_sensor_with_a_changed_efficiency(examples, tmp_path):
-    lens = load_lens("lensagon_cmfa0420nd")
-    (tmp_path / "s.toml").write_bytes((MATERIALS / "sensors" / "nikon_d5100.toml").read_bytes())
-    (tmp_path / "spectra").mkdir()
-    table = read_toml(tmp_path / "s.toml")["quantum_efficiency"]["file"]
-    content = (MATERIALS / "sensors" / table).read_bytes()
-    attempt_file(
-        examples, tmp_path / table, [content], lambda _: Camera(lens, load_sensor(tmp_path / "s.toml"))
-    )
-
-
-KEY = st.sampled_from(
-    [
-        "camera.sensor",
-        "plan.frames",
-        "daylight.cover",
-        "views.height_mm",
-        "growth.date",
-        "row",
-        "",
-        ".",
-        "x.y",
-        "expect",
-    ]
-)
+KEYS = "camera.sensor plan.frames daylight.cover views.height_mm growth.date row . x.y expect"
+KEY = st.sampled_from(["", *KEYS.split()])
 VALUE = st.one_of(
     st.text(max_size=20),
     st.sampled_from([number.decode() for number in NUMBERS]),
@@ -234,24 +209,9 @@ NUMBER = st.one_of(
     st.floats(),
     st.integers(-(2**63), 2**63 - 1),
 )
+LENGTHS = [f"{name}_mm" for name in ("mean", "sd", "low", "high", "value", "uniform", "histogram", "along")]
 TABLE = st.dictionaries(
-    st.sampled_from(
-        [
-            "mean_mm",
-            "sd_mm",
-            "low_mm",
-            "high_mm",
-            "value_mm",
-            "uniform_mm",
-            "histogram_mm",
-            "along_mm",
-            "with_height",
-            "chosen",
-            "source",
-            "mean",
-            "sd_deg",
-        ]
-    ),
+    st.sampled_from([*LENGTHS, "with_height", "chosen", "source", "mean", "sd_deg"]),
     NUMBER | st.lists(NUMBER, max_size=4) | st.lists(st.lists(NUMBER, max_size=4), max_size=4),
     max_size=5,
 )
@@ -259,9 +219,6 @@ TABLE = st.dictionaries(
 
 @EXAMPLES
 def test_notation_of_distributions(examples):
-    from pepperscene.cultivar.notation import Length
-    from pepperscene.document import Document, validate
-
     class Model(Document):
         length: Length
 

@@ -8,7 +8,7 @@ import shutil
 
 import numpy as np
 import pytest
-from disc_set import change_image, find, kinds_of, rewrite_manifest, sign
+from disc_set import change_image, find, find_in_frame, kinds_of, rewrite_manifest, sign
 
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.images import read_image, write_image
@@ -79,25 +79,16 @@ def test_required_frames(folder):
         check_dataset(folder, frames="7:3")
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [(b"masks/1.png", "masks"), (b"class/\xff.png", "class/\\udcff.png")]
-    + [
-        (name.encode(), name)
-        for name in ("notes.txt", "class/copy.png", "frames/.000003.json.here.7.1.tmp", "frames/5.json")
-    ],
-)
-def test_finds_stray_files(folder, name, expected):
-    path = folder / os.fsdecode(name)
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes(b"")
-    assert find(folder) == {("extra", None, expected)}
-
-
-def test_files_of_file_managers_and_reports_are_allowed(folder):
+def test_finds_stray_files_but_not_those_of_file_managers_and_reports(folder):
     for name in ("index.html", "contact_sheet.png", ".DS_Store", "class/Thumbs.db"):
         (folder / name).write_bytes(b"")
     assert find(folder) == set()
+    (folder / "masks").mkdir()
+    names = ["notes.txt", "class/copy.png", "frames/.000003.json.here.7.1.tmp", "frames/5.json"]
+    expected = {"masks", "class/\\udcff.png", *names}
+    for name in (b"masks/1.png", b"class/\xff.png", *map(os.fsencode, names)):
+        (folder / os.fsdecode(name)).write_bytes(b"")
+    assert find(folder) == {("extra", None, name) for name in expected}
 
 
 def test_finds_images_of_another_size_or_type(folder):
@@ -108,12 +99,10 @@ def test_finds_images_of_another_size_or_type(folder):
     assert find(folder) == {("shape", 1, "distance_code/000001.png"), ("shape", 2, "instance/000002.png")}
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"{", b"[1, 2]", b"\xff\xfe", b'{"index": 3}', b'{"outputs": {"class": 1}}']
-)
-def test_finds_damaged_frame_json(folder, content):
-    (folder / "frames/000003.json").write_bytes(content)
-    assert ("damaged", 3, "frames/000003.json") in find(folder)
+def test_finds_damaged_frame_json(folder):
+    for content in (b"", b"{", b"[1, 2]", b"\xff\xfe", b'{"index": 3}', b'{"outputs": {"class": 1}}'):
+        (folder / "frames/000003.json").write_bytes(content)
+        assert ("damaged", 3, "frames/000003.json") in find_in_frame(folder, 3)
 
 
 def test_edited_frame_json_is_one_finding(folder):

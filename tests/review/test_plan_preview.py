@@ -50,7 +50,6 @@ def no_places(resolved, **options):
     [
         ({}, 4),
         ({"plan.select": [0, 1, 11]}, 2),
-        ({"row.spacing_mm": {"uniform": [150, 300], "per": "frame"}}, 12),
         ({"row.spacing_mm": {"uniform": [150, 300], "per": "scene"}}, 4),
         ({"camera.exposure_us": {"uniform": [40, 90]}}, 4),
         ({"twins": {"camera.gain": [1.0, 2.0]}}, 4),
@@ -134,18 +133,18 @@ def test_disk_space_is_that_of_the_files_of_a_build(tmp_path, monkeypatch):
     assert preview.cost.memory_bytes > 1e8
 
 
-@pytest.mark.parametrize("name", ["poses.json", "poses.csv", "poses.txt", "model"])
-def test_written_poses_are_those_of_the_selected_frames(tmp_path, name):
+def test_written_poses_are_those_of_the_selected_frames(tmp_path):
     resolved = small(plan__select=[0, 2, 7], rig=[{"name": "right", "position_mm": [60.0, 0.0, 0.0]}])
     renderer = FrameRenderer(resolved, StandIn)
-    write_selected_poses(tmp_path / name, renderer, (0, 2, 7))
-    read = read_poses(tmp_path / name)
     expected = [renderer.camera(resolved.recipe.plan.frame(index)).pose for index in (0, 2, 7)]
-    np.testing.assert_allclose(read.poses, expected, atol=1e-9)
-    if name == "poses.txt":
-        assert read.times_s.tolist() == [0.0, 2.0, 7.0]
-    else:
-        assert read.names == ("000000.png", "000002.png", "000007.png")
+    for name in ("poses.json", "poses.csv", "poses.txt", "model"):
+        write_selected_poses(tmp_path / name, renderer, (0, 2, 7))
+        read = read_poses(tmp_path / name)
+        np.testing.assert_allclose(read.poses, expected, atol=1e-9)
+        if name == "poses.txt":
+            assert read.times_s.tolist() == [0.0, 2.0, 7.0]
+        else:
+            assert read.names == ("000000.png", "000002.png", "000007.png")
 
 
 @pytest.mark.parametrize(
@@ -153,7 +152,6 @@ def test_written_poses_are_those_of_the_selected_frames(tmp_path, name):
     [
         ({}, True),
         # Cameras that are loaded for each value, but image the same.
-        ({"camera__exposure_us": {"uniform": [40, 90]}}, True),
         ({"twins": {"camera.f_number": [2.0, 4.0]}}, True),
         ({"rig": [{"name": "wide", "lens": "none", "hfov_deg": 80.0}]}, False),
         ({"rig": [{"name": "small", "width": 400, "height": 300}]}, False),
@@ -205,20 +203,17 @@ def test_random_places_are_within_their_distance_from_a_target():
     assert inside.any(axis=1).all()
 
 
-def test_too_many_poses_are_refused_before_anything_is_rendered(tmp_path):
+def test_too_many_poses_and_other_files_are_refused_before_anything_is_rendered(tmp_path):
     def never(scene):
         raise AssertionError("a renderer was made")
 
     resolved = small(plan__sets=100, plan__rotations=1, plan__frames=1001)
     with pytest.raises(ArgumentError, match="100,100 frames are selected, and a file has at most 100,000"):
         preview_plan(resolved, ("class",), BuildOptions(renderer=never), poses=tmp_path / "poses.csv")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_errors_name_the_argument_of_the_function(tmp_path):
     with pytest.raises(ArgumentError) as caught:
         preview_plan(small(), probe=False, picture=tmp_path / "plan.jpg")
     assert caught.value.where == "picture"
+    assert list(tmp_path.iterdir()) == []
 
 
 def _colours(content):
@@ -241,10 +236,8 @@ def test_drawings_show_plants_cameras_and_targets():
     "limits",
     [
         {"azimuth_deg": [-180.0, 180.0], "distance_mm": [200.0, 1500.0]},
-        {"azimuth_deg": [120.0, 170.0]},
-        {"elevation_deg": [0.0, 0.0]},
-        {"azimuth_deg": [0.0, 0.0]},
-        {"distance_mm": [400.0, 400.0]},
+        {"azimuth_deg": [120.0, 170.0], "elevation_deg": [0.0, 0.0]},
+        {"azimuth_deg": [0.0, 0.0], "distance_mm": [400.0, 400.0]},
     ],
 )
 def test_limits_of_random_views_are_drawn_whole_and_visible(monkeypatch, limits):
@@ -304,9 +297,8 @@ def test_shared_draws_twins_and_automatic_exposure_are_described():
 
 def test_the_cameras_of_a_rig_are_described():
     resolved = small(rig=[{"name": "wide", "lens": "none", "hfov_deg": 120.0}])
-    cameras = summarise_plan(resolved, range(24)).cameras
-    assert [camera.name for camera in cameras] == ["main", "wide"]
-    assert cameras[1].hfov_deg == pytest.approx(120.0, abs=1e-9)
+    main, wide = summarise_plan(resolved, range(24)).cameras
+    assert (main.name, wide.name, wide.hfov_deg) == ("main", "wide", pytest.approx(120.0, abs=1e-9))
 
 
 @pytest.mark.parametrize(
@@ -314,12 +306,7 @@ def test_the_cameras_of_a_rig_are_described():
     [
         (None, "arc: distance 400 mm, azimuth -45 to 45°, height 900 to 2100 mm, pitch 20°"),
         (
-            {
-                "kind": "grid",
-                "distance_mm": [400.0, 600.0],
-                "height_mm": [1200.0],
-                "azimuth_deg": [-20.0, 20.0],
-            },
+            {"kind": "grid", "distance_mm": [400, 600], "height_mm": [1200], "azimuth_deg": [-20, 20]},
             "grid: x 0 mm, distance 400, 600 mm, height 1200 mm, azimuth -20, 20°, pitch 0°",
         ),
         (
@@ -341,16 +328,8 @@ def test_views_are_described_with_their_ranges(views, text):
     assert f"views     {text}" in lines
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.034, "0.034 s"), (59.7, "1 min 0 s"), (3700, "1 h 1 min"), (90_061, "1 d 1 h"), (12, "12 s")],
-)
-def test_durations_have_at_most_two_units(seconds, text):
-    assert format_duration(seconds) == text
-
-
-@pytest.mark.parametrize(
-    ("size", "text"), [(999, "999 B"), (226_300, "226 kB"), (1.5e9, "1.5 GB"), (2e13, "20 TB")]
-)
-def test_bytes_have_at_most_three_digits(size, text):
-    assert format_bytes(size) == text
+def test_durations_and_bytes_are_short():
+    seconds = {0.034: "0.034 s", 12: "12 s", 59.7: "1 min 0 s", 3700: "1 h 1 min", 90_061: "1 d 1 h"}
+    assert {number: format_duration(number) for number in seconds} == seconds
+    sizes = {999: "999 B", 226_300: "226 kB", 1.5e9: "1.5 GB", 2e13: "20 TB"}
+    assert {number: format_bytes(number) for number in sizes} == sizes

@@ -157,27 +157,14 @@ def test_arrow_keys_browse_and_escape_closes(browser):
     assert dialog(browser)["alt"] == "Class of frame 000020"
     browser.click("dialog .close")
     assert dialog(browser) is None
-
-
-def test_browsing_wraps_around(browser):
+    # Browsing wraps around.
     browser.click(".card .picture")
-    shown = []
-    for key in ("ArrowLeft", "ArrowRight", "ArrowUp"):
+    for key, alt in (
+        ("ArrowLeft", "Mean intensity of photographs"),
+        ("ArrowRight", "Colour of frame 000000"),
+    ):
         browser.press(key)
-        shown.append(dialog(browser)["alt"])
-    first = "Colour of frame 000000"
-    assert shown == ["Mean intensity of photographs", first, first]
-
-
-def test_tab_reaches_every_image(browser):
-    browser.run("document.querySelector('#frames .picture').focus()")
-    kinds = []
-    for _ in PANELS:
-        kinds.append(browser.run("document.activeElement.querySelector('img')?.dataset.kind"))
-        browser.press("Tab")
-    assert kinds == list(PANELS)
-    labels = browser.run("[...document.querySelectorAll('button')].map(b => b.getAttribute('aria-label'))")
-    assert all(labels)
+        assert dialog(browser)["alt"] == alt
 
 
 def test_switch_brightens_photographs_but_not_labels(browser):
@@ -189,16 +176,7 @@ def test_switch_brightens_photographs_but_not_labels(browser):
     assert browser.run("getComputedStyle(document.querySelector('dialog img')).filter") == "brightness(2.2)"
 
 
-def test_table_row_links_to_its_card(browser):
-    browser.click("summary")
-    browser.click("details tr:last-child a")
-    top = "document.querySelector('#a-000039').getBoundingClientRect().top"
-    # Not below the sticky bar.
-    browser.wait_until(f"{top} > 40 && {top} < innerHeight")
-    assert browser.run("location.hash") == "#a-000039"
-
-
-@pytest.mark.parametrize("width", [320, 375, 800, 1440])
+@pytest.mark.parametrize("width", [320, 1440])
 @pytest.mark.parametrize("dark", [False, True])
 def test_text_is_readable_on_every_screen(started, page, width, dark):
     started.open(page, width, 800, dark)
@@ -232,25 +210,8 @@ def test_text_is_readable_on_every_screen(started, page, width, dark):
     )
     assert font_size >= 10
     assert contrast >= 4.5
-
-
-def test_enlarged_image_fits_a_phone(started, page):
-    started.open(page, 375, 700)
     started.click(".card .picture")
-    enlarged = dialog(started)
-    assert enlarged["within"]
-    assert enlarged["shown"] > 330
-
-
-def test_print_hides_controls(started, page):
-    started.open(page, 800, 1100, dark=True)
-    started.call("Emulation.setEmulatedMedia", media="print")
-    visible = started.run(
-        "['.bar', 'dialog', '.card', '.chart', 'svg.length']"
-        ".map(name => document.querySelector(name).checkVisibility())"
-    )
-    assert visible == [False, False, True, True, True]
-    assert started.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert dialog(started)["within"]
 
 
 @pytest.fixture(scope="module")
@@ -275,33 +236,7 @@ def test_no_script_of_a_hostile_data_set_runs(started, hostile_page):
     started.press("Escape")
     started.click("summary")
     started.click("details tr:last-child a")
+    started.wait_until("location.hash !== '' && document.getElementById(location.hash.slice(1)) !== null")
     assert started.run("document.querySelector('h1').textContent") == TEXT
     assert started.run("typeof window.attacked") == "undefined"
     assert_quiet(started, hostile_page)
-
-
-def test_policy_stops_what_is_not_escaped(started, page, tmp_path):
-    # As if a text were inserted as it is.
-    link = '<a id="link" href="javascript:window.attacked=1">link</a>'
-    text = page.read_text(encoding="utf-8").replace("</main>", f"<p>{TEXT}{link}</p></main>")
-    attacked = tmp_path / "attacked.html"
-    attacked.write_text(text, encoding="utf-8")
-    started.open(attacked)
-    violations = started.run("window.violations")
-    directives = {violation.split()[0] for violation in violations}
-    assert directives >= {"script-src-elem", "script-src-attr", "style-src-elem", "style-src-attr", "img-src"}
-    started.click("#link")
-    started.wait_until(f"window.violations.length > {len(violations)}")
-    assert started.run("typeof window.attacked") == "undefined"
-    # The browser announces each request before it asks the policy.
-    requested = {
-        event["requestId"]
-        for event in started.events("Network.requestWillBeSent")
-        if event["request"]["url"].startswith("http")
-    }
-    blocked = {
-        event["requestId"]
-        for event in started.events("Network.loadingFailed")
-        if event.get("blockedReason") == "csp"
-    }
-    assert requested <= blocked

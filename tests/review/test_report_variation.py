@@ -92,11 +92,6 @@ def test_a_record_without_a_logarithm_does_not_stop_the_report():
     assert len(descriptions(page)) == 1
 
 
-def test_dates_are_dates_in_the_table():
-    _, item = summary("date", {"2026-03-01": 0.5, "2026-04-01": 0.5})
-    assert "2026-03-01 50 %, 2026-04-01 50 %" in rows_of(section_of(item))["x.y"][1]
-
-
 def test_few_draws_have_a_chart_but_no_p_value():
     for frames in (1, 2, 19):
         _, item = summary("number", {"mean": 10.0, "sd": 2.0}, frames)
@@ -105,12 +100,14 @@ def test_few_draws_have_a_chart_but_no_p_value():
         assert len(descriptions(page)) == 1
 
 
-def test_choices_have_a_bar_for_each_outcome():
+def test_choices_have_a_bar_for_each_outcome_and_dates_are_dates():
     drawn, item = summary(None, {"red": 0.75, "green": 0.25})
     page = section_of(item)
     share = 100 * drawn.count("red") / len(drawn)
     assert f"{share:.1f}\u00a0%</td><td>75.0\u00a0%</td>" in page
     assert page.count("<rect") == 4
+    _, item = summary("date", {"2026-03-01": 0.5, "2026-04-01": 0.5})
+    assert "2026-03-01 50 %, 2026-04-01 50 %" in rows_of(section_of(item))["x.y"][1]
 
 
 def test_a_set_drawn_for_the_scene_counts_once():
@@ -118,7 +115,6 @@ def test_a_set_drawn_for_the_scene_counts_once():
     assert rows_of(section_of(item))["x.y"][2] == "1"
 
 
-@pytest.mark.slow
 def test_page_shows_what_the_manifest_holds(varied):
     rows = rows_of(page_of(varied))
     numbers = varied.manifest()["drawn.camera.exposure_us"].to_numpy()
@@ -130,7 +126,6 @@ def test_page_shows_what_the_manifest_holds(varied):
     assert rows["developing.white_balance"][:2] == ["twin", "flash, none"]
 
 
-@pytest.mark.slow
 def test_records_without_a_manifest_come_from_the_frames(varied, tmp_path):
     copy = make_varied_set(tmp_path / "set", outputs=("class",))
     expected = frame_records(copy).drawn
@@ -142,7 +137,6 @@ def test_records_without_a_manifest_come_from_the_frames(varied, tmp_path):
         assert np.isfinite(numbers).all()
 
 
-@pytest.mark.slow
 def test_values_of_several_types_are_read_from_the_manifest(tmp_path):
     key, values = "camera.exposure_us", ["auto", 500.0]
     dataset = make_varied_set(tmp_path / "set", outputs=("class",), **{key: {"in_turn": values}})
@@ -151,7 +145,6 @@ def test_values_of_several_types_are_read_from_the_manifest(tmp_path):
     assert frame_records(dataset).drawn.numbers[key].tolist() == [values.index(value) for value in drawn]
 
 
-@pytest.mark.slow
 def test_facts_of_varied_values_do_not_show_one_value(tmp_path):
     changes = {
         "cultivar": {"in_turn": ["kaite_february", "tomato"]},
@@ -166,7 +159,6 @@ def test_facts_of_varied_values_do_not_show_one_value(tmp_path):
     assert facts["Exposure"] == facts["Daylight"] == "varied"
 
 
-@pytest.mark.slow
 def test_images_of_a_moment_link_to_each_other(varied):
     page = page_of(varied)
     targets = set(re.findall(r'class="card" id="(.*?)"', page))
@@ -182,22 +174,17 @@ def test_images_of_a_moment_link_to_each_other(varied):
     assert lines[0].startswith(
         '<a href="#a-000001">000001</a> (right), <a href="#a-000006">000006</a> (twin 1)'
     )
-
-
-@pytest.mark.slow
-def test_images_that_are_not_shown_are_named_without_a_link(varied):
+    # Images that are not shown are named without a link.
     line = re.findall("Same moment: (.*?)</p>", page_of(varied, 1))[0]
     assert line == "000001 (right), 000006 (twin 1), 000007 (twin 1, right)"
 
 
-@pytest.mark.slow
 def test_page_without_variation_has_no_section(tmp_path):
     page = page_of(set_without_plants(tmp_path / "set", [0, 1], ("class",)))
     assert "Variation" not in page
     assert "Same moment" not in page
 
 
-@pytest.mark.slow
 def test_texts_of_hostile_variation_are_shown_as_text(varied, tmp_path):
     copy = make_varied_set(tmp_path / "set", [0, 1], ("class",))
     path = copy.folder / "dataset.json"

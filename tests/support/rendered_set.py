@@ -1,9 +1,12 @@
-"""A small row of plants that is grown and rendered, with every output that exports use.
+"""A small row of plants that is grown, with the labels that Mitsuba renders and with colours of noise.
 
 The lens has no distortion, which BOP does not have, and `position` holds the true world point of every pixel.
 """
 
 from __future__ import annotations
+
+import numpy as np
+from stand_in import SceneStandIn
 
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
@@ -19,7 +22,24 @@ RECIPE = {
 }  # fmt: skip
 
 
-def make_rendered_set(folder, frames=FRAMES, changes=None):
-    """Draft frames of two plants; all frames of the plan for None."""
-    recipe = load_recipe("barth2018", {**RECIPE, **(changes or {})})
-    return build(recipe, folder, frames and list(frames), OUTPUTS, BuildOptions(quality="draft")).dataset
+class LabelRenderer(SceneStandIn):
+    """Mitsuba for labels; tracing light would take most of the time."""
+
+    def __init__(self, scene):
+        from pepperscene.render import Renderer
+
+        self.renderer = Renderer(scene)
+
+    def render(self, camera, outputs=(), quality="standard", seed=0, **others):
+        labels = tuple(name for name in outputs if name != "colour")
+        frame = self.renderer.render(camera, labels, quality, seed, **others)
+        shape = (*frame.images["instance"].shape, 3)
+        frame.images["colour"] = np.random.default_rng(seed).integers(0, 256, shape).astype(np.uint8)
+        return frame
+
+
+def make_rendered_set(folder):
+    """Frames of two plants."""
+    recipe = load_recipe("barth2018", RECIPE)
+    options = BuildOptions(quality="draft", renderer=LabelRenderer)
+    return build(recipe, folder, list(FRAMES), OUTPUTS, options).dataset

@@ -54,6 +54,13 @@ def image_points(points_camera, lens, matrix):
     return cv2.projectPoints(points, zero, zero, matrix, coefficients)[0][:, 0]
 
 
+def reprojection_error(points_camera, lens, matrix, pixels):
+    """Largest distance of the image points of points in camera axes from pixels; inf if one is behind."""
+    if (points_camera[:, 2] <= 0).any():
+        return np.inf
+    return np.linalg.norm(image_points(points_camera, lens, np.array(matrix, float)) - pixels, axis=1).max()
+
+
 @cache
 def directions(lens):
     """`(h w, 3)` unit directions in camera axes of the rays through all pixel centres, to 1e-9 of a pixel."""
@@ -163,3 +170,15 @@ def visible_pixels(dataset, index, count=1000):
     rows, columns = np.nonzero(np.isfinite(position[..., 0]))
     chosen = np.random.default_rng(0).permutation(len(rows))[:count]
     return np.column_stack([columns, rows])[chosen], position[rows[chosen], columns[chosen]]
+
+
+def check_seed_points(position, colour, least_x=-np.inf):
+    """Points `(n, 3)` are on both surfaces, right of `least_x` on the wall, in their colours to one code."""
+    to_sphere = np.abs(np.linalg.norm(position - SPHERE, axis=1) - RADIUS_M)
+    to_wall = np.abs(position[:, 1] - WALL_Y_M)
+    assert np.minimum(to_sphere, to_wall).max() < 2e-6
+    assert (to_sphere < 2e-6).sum() > 1000
+    assert position[:, 2].max() < TOP_M
+    assert position[to_wall < 1e-5, 0].min() > least_x - 1e-5
+    # Where a position that is rounded is at the border of a code, colours differ by one.
+    assert np.abs(colour - colour_of(position).astype(int)).max() <= 1
