@@ -236,8 +236,10 @@ def test_drawings_show_plants_cameras_and_targets():
     "limits",
     [
         {"azimuth_deg": [-180.0, 180.0], "distance_mm": [200.0, 1500.0]},
-        {"azimuth_deg": [120.0, 170.0], "elevation_deg": [0.0, 0.0]},
-        {"azimuth_deg": [0.0, 0.0], "distance_mm": [400.0, 400.0]},
+        {"azimuth_deg": [120.0, 170.0]},
+        {"elevation_deg": [0.0, 0.0]},
+        {"azimuth_deg": [0.0, 0.0]},
+        {"distance_mm": [400.0, 400.0]},
     ],
 )
 def test_limits_of_random_views_are_drawn_whole_and_visible(monkeypatch, limits):

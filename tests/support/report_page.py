@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 
 VOID = ("meta", "img", "input", "br", "link")
@@ -45,9 +46,10 @@ class Page(HTMLParser):
         return [text for text in self.texts["script"] if text.strip()]
 
     def links(self):
-        """Targets of the links within the page, all of which exist."""
+        """Targets of the links within the page, all of which exist; ids are unique and without spaces."""
         ids = [attrs["id"] for _, attrs in self.elements if "id" in attrs]
         assert len(ids) == len(set(ids))
+        assert not [name for name in ids if re.search(r"\s", name)]
         targets = [attrs["href"][1:] for _, attrs in self.elements if attrs.get("href", "").startswith("#")]
         assert set(targets) <= set(ids)
         return targets
