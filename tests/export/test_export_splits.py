@@ -10,10 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from label_set import load_coco
-from typer.testing import CliRunner
 from varied_set import FRAMES, make_varied_set
 
-from pepperscene.cli import app
 from pepperscene.dataset.splits import shared_plants
 from pepperscene.errors import InputError
 from pepperscene.export import Splits, export_dataset, read_splits, split_by_sets
@@ -184,16 +182,6 @@ def test_fractions_never_divide_a_moment_and_a_warning_names_shared_plants(case,
 )
 def test_warning_says_which_splits_share_plants_and_what_helps(members, warning):
     assert shared_plants(members, PLAN) == warning
-
-
-def test_command_prints_the_warning(painted, tmp_path):
-    command = ["export", str(painted.folder), "--format", "published", "--frames", "0:6"]
-    for split, warnings in (("train=0:4,val=4:6", 1), ("train=1", 0)):
-        done = CliRunner().invoke(app, [*command, "--out", str(tmp_path / split), "--split", split])
-        assert done.exit_code == 0
-        lines = [line for line in done.stderr.splitlines() if "warning" in line]
-        expected = "warning: train and val show the same plants in another order"
-        assert [line.startswith(expected) for line in lines] == [True] * warnings
 
 
 # Moments of recipes with twins and a rig.
