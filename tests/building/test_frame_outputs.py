@@ -11,7 +11,6 @@ from pepperscene.dataset.readers import open_images
 from pepperscene.errors import InputError
 
 REFUSED = {
-    "missing": None,
     "empty": b"",
     "truncated": lambda text: text[: len(text) // 2].encode(),
     "latin": lambda text: text.replace("}", ', "note": "\xe9"}', 1).encode("latin-1"),
@@ -35,13 +34,10 @@ def changed(text, **values):
 
 
 def damage(copied, small, content):
-    """A copy of the data set whose first frame has another JSON, or none."""
+    """A copy of the data set whose first frame has another JSON."""
     dataset = copied(small)
     path = dataset.frame_path(0)
-    if content is None:
-        path.unlink()
-    else:
-        path.write_bytes(content if isinstance(content, bytes) else content(path.read_text()))
+    path.write_bytes(content if isinstance(content, bytes) else content(path.read_text()))
     return open_images(dataset.folder)
 
 
@@ -55,6 +51,15 @@ def test_damaged_frames_are_the_same_error_with_and_without_metadata(case, copie
         messages.append(str(caught.value))
     assert messages[0] == messages[1]
     assert "frames/000000.json" in messages[0]
+
+
+def test_a_missing_frame_is_the_same_error_with_and_without_metadata(copied, small):
+    dataset = copied(small)
+    images = open_images(dataset.folder)
+    dataset.frame_path(0).unlink()
+    for fields in (("colour",), ("colour", "metadata")):
+        with pytest.raises(InputError, match=r"000000\.json: cannot be read"):
+            images.select(*fields)[0]
 
 
 @pytest.mark.parametrize("case", ACCEPTED)
