@@ -20,10 +20,10 @@ from pepperscene.camera.image.colorimetry import (
     adapted_xyz,
     bradford_adaptation,
     cie_1931_observer,
+    colour_correction,
     d65_spectrum,
     xyz_to_lab,
 )
-from pepperscene.camera.image.colour_correction import colour_correction
 from pepperscene.colour.appearance import lab_hue_deg
 from pepperscene.colour.statistics import delta_e_2000
 from pepperscene.materials.gloss import cone_gloss

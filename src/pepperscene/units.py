@@ -2,7 +2,7 @@
 
 A key of a file names its unit, an attribute is in metres, radians or seconds: `width_m` is read from
 `width_mm`, `lean_rad` from `lean_deg`, `exposure_s` from `exposure_us`. Python code makes the same objects
-from SI values. Bounds and error messages are in the unit of the file.
+from SI values. Bounds and error messages are in the unit of the file. Durations are written in words.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import typing
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import (
@@ -172,3 +173,21 @@ def file_values(table: Any, **options: Any) -> dict[str, Any]:
     kind: Any = type(table)
     values: dict[str, Any] = _adapter(kind).dump_python(table, **options)
     return values
+
+
+def format_duration(seconds: float) -> str:
+    """Days, hours, minutes and seconds, at most two units."""
+    if seconds < 10:
+        return f"{seconds:.2g} s"
+    total = round(seconds)
+    units = ((86_400, "d"), (3600, "h"), (60, "min"), (1, "s"))
+    for (large, name), (small, next_name) in pairwise(units):
+        if total >= large:
+            rest = total % large // small
+            return f"{total // large} {name} {rest} {next_name}"
+    return f"{total} s"
+
+
+def format_rate(frames_per_s: float) -> str:
+    """Frames per second, or seconds per frame."""
+    return f"{frames_per_s:.1f} frames/s" if frames_per_s >= 1 else f"{1 / frames_per_s:.1f} s a frame"

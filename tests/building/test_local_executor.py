@@ -218,7 +218,7 @@ def test_rejects_invalid_number_of_workers(build_small, tmp_path):
 
 @pytest.mark.parametrize(("variable", "threads"), [(None, "1"), ("3", "3")])
 def test_workers_share_the_cores(build_small, monkeypatch, variable, threads):
-    monkeypatch.setattr(sys.modules["pepperscene.building.execution.local"], "available_cores", lambda: 2)
+    monkeypatch.setattr(sys.modules["pepperscene.building.execution.executor"], "available_cores", lambda: 2)
     monkeypatch.delenv("PEPPERSCENE_THREADS", raising=False)
     if variable is not None:
         monkeypatch.setenv("PEPPERSCENE_THREADS", variable)

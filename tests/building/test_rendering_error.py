@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from stand_in import StandIn
 
-from pepperscene.dataset.store.rendering_error import RenderingErrors
-from pepperscene.frame import TARGET_TOLERANCE, Frame
+from pepperscene.frame import TARGET_TOLERANCE, Frame, RenderingErrors
 from pepperscene.review.check import check_dataset
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")

@@ -43,12 +43,13 @@ from pepperscene.camera.image.colorimetry import (
     XYZ_TO_SRGB,
     bradford_adaptation,
     cie_1931_observer,
+    colour_correction,
     d65_spectrum,
     srgb_decode,
     srgb_encode,
+    white_balance_gains,
     xyz_to_lab,
 )
-from pepperscene.camera.image.colour_correction import colour_correction, white_balance_gains
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum, photopic_efficiency, read_spectra
 
@@ -146,7 +147,7 @@ def test_illuminance_and_correction_do_not_import_colour_science():
         "import sys; from pepperscene.camera import load_sensor\n"
         "from pepperscene.spectra import illuminance, sun_spectrum; illuminance(sun_spectrum())\n"
         "from pepperscene.camera.image.colorimetry import d65_spectrum\n"
-        "from pepperscene.camera.image.colour_correction import colour_correction\n"
+        "from pepperscene.camera.image.colorimetry import colour_correction\n"
         "colour_correction(load_sensor('ueye_ui5250re'), d65_spectrum())\n"
         "assert 'colour' not in sys.modules\n"
     )

@@ -12,7 +12,7 @@ import pytest
 
 import pepperscene
 from pepperscene.bench.measure import measure_variant
-from pepperscene.cli import viewing
+from pepperscene.cli import datasets
 from pepperscene.errors import SetupError
 from pepperscene.render import doctor
 from pepperscene.render.variant import llvm_version, mitsuba_modules
@@ -81,7 +81,7 @@ def test_python_m_takes_the_folder_off_the_search_path(folder):
 def test_the_viewer_is_not_taken_from_the_folder(folder, monkeypatch):
     monkeypatch.setattr("pepperscene.export.export_dataset", lambda *_args, **_kwargs: None)
     with suppress(SetupError):
-        viewing._view_in_rerun(folder, None)
+        datasets._view_in_rerun(folder, None)
     assert not ran(folder)
 
 

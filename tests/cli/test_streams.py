@@ -111,7 +111,7 @@ def test_an_odd_environment_changes_nothing(tmp_path):
 def test_characters_that_an_encoding_lacks_are_no_error(encoding, expected):
     code = (
         "import typer\n"
-        "from pepperscene.cli.streams import protect_streams\n"
+        "from pepperscene.cli.application import protect_streams\n"
         "protect_streams()\n"
         "typer.echo('√' + 'é' + chr(0xdce9))"
     )

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from traced_set import make_traced_set
 
-from pepperscene.cli import viewing
+from pepperscene.cli import datasets
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def opened(monkeypatch):
 
 
 def has_rerun(monkeypatch, installed):
-    monkeypatch.setattr(viewing, "find_spec", lambda _name: object() if installed else None)
+    monkeypatch.setattr(datasets, "find_spec", lambda _name: object() if installed else None)
 
 
 def test_without_rerun_the_report_is_opened(folder, opened, monkeypatch, command):
@@ -50,13 +50,13 @@ def test_rerun_gets_the_recordings_of_the_frames(folder, monkeypatch, command):
         calls.append(command)
         return SimpleNamespace(returncode=0)
 
-    monkeypatch.setattr(viewing.subprocess, "run", run)
+    monkeypatch.setattr(datasets.subprocess, "run", run)
     assert command("view", folder, "--frames", "0:2").exit_code == 0
     ((*program, file),) = calls
     assert program == [sys.executable, "-P", "-m", "rerun"]
     # The temporary recording is removed when the viewer is closed.
     assert not Path(file).exists()
-    monkeypatch.setattr(viewing.subprocess, "run", lambda *_args, **_kwargs: SimpleNamespace(returncode=3))
+    monkeypatch.setattr(datasets.subprocess, "run", lambda *_args, **_kwargs: SimpleNamespace(returncode=3))
     result = command("view", folder)
     assert result.exit_code == 2
     assert "ended with exit code 3" in result.stderr

@@ -15,9 +15,8 @@ from varied_set import COLUMNS, FRAMES, RIG, TWINS, VARIED, make_varied_set
 
 from pepperscene.atomic import canonical_json
 from pepperscene.dataset.store.dataset import open_dataset
-from pepperscene.dataset.store.drawn_columns import drawn_columns
 from pepperscene.dataset.store.journal import JOURNAL
-from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST
+from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST, drawn_columns
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.resolve.frame_setups import frame_values
 from pepperscene.recipe.resolve.load import load_recipe

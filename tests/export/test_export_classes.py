@@ -22,7 +22,7 @@ from pepperscene.classes import OrganClass, parse_class_mapping
 from pepperscene.cli import app
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.selection import Selection, parse_categories
-from pepperscene.dataset.store.crop import crop_name, fruit_name
+from pepperscene.dataset.store.recorded_values import crop_name, fruit_name
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.export import FORMATS
 from pepperscene.export.run import _fruit_without_label

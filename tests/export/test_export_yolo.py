@@ -29,8 +29,7 @@ from painted_set import SIZE
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.images import read_image
-from pepperscene.export.polygons import MAX_BRIDGE_FRACTION, mask_polygons
-from pepperscene.export.yolo import VisibleObject
+from pepperscene.export.yolo import MAX_BRIDGE_FRACTION, VisibleObject, mask_polygons
 
 cv2 = pytest.importorskip("cv2", reason="the extra `test` installs OpenCV")
 yaml = pytest.importorskip("yaml", reason="a reader of YAML")

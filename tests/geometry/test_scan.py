@@ -10,8 +10,7 @@ from organ_meshes import KINDS, merged, mesh_organs
 
 from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar.organs import OrganKind
-from pepperscene.cultivar.scans import FruitScans
+from pepperscene.cultivar.organs import FruitScans, OrganKind
 from pepperscene.errors import InputError
 from pepperscene.geometry import concatenate_meshes, sphere, write_mesh
 from pepperscene.geometry.fruit.scan import choose_scans, load_scan

@@ -15,8 +15,7 @@ from bodies import axis_camera
 from colour_chart import D65, NM, OBSERVER, chart, difference, lab_of_rgb
 
 from pepperscene.classes import OrganClass
-from pepperscene.cultivar.organs import OrganKind
-from pepperscene.cultivar.scans import FruitScans
+from pepperscene.cultivar.organs import FruitScans, OrganKind
 from pepperscene.geometry import mesh_plant, sphere
 from pepperscene.grammar.plant import Organ, Plant
 from pepperscene.materials import Surface

@@ -11,8 +11,7 @@ from shapes import shapes, write_shapes
 
 pytest.importorskip("torch")
 
-from pepperscene.dataset.readers.open import RenderedSet
-from pepperscene.dataset.readers.published import PublishedSet
+from pepperscene.dataset.readers.open import PublishedSet, RenderedSet
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import FRUIT_CLASSES
 from pepperscene.learning.experiments import ExperimentOptions, run_experiments

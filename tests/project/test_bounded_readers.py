@@ -42,7 +42,7 @@ EXCEPTIONS = {
         "pickle.load(self._process.stdout)",
     ): "a pipe between processes of one build",
     ("building/subprocess_rpc.py", "pickle.load(self._requests)"): "a pipe between processes of one build",
-    ("cli/viewing.py", "webbrowser.open(page.absolute().as_uri())"): "a page for the browser",
+    ("cli/datasets.py", "webbrowser.open(page.absolute().as_uri())"): "a page for the browser",
     (
         "learning/models/efficientnet.py",
         "torch.load(file, map_location='cpu', weights_only=True)",

@@ -20,8 +20,7 @@ NOT_WRITTEN = {
     "recipe/recipe.py": "of a recipe, whose numbers are finite, for a digest",
     "recipe/resolve/resolved.py": "of a recipe, whose numbers are finite, for a digest",
     "recipe/resolve/frame_setups.py": "of a recipe, whose numbers are finite, as a key",
-    "dataset/store/drawn_columns.py": "of lists of a recipe, whose numbers are finite",
-    "dataset/store/manifest.py": "of single values, as text of a column",
+    "dataset/store/manifest.py": "of values of a recipe, whose numbers are finite",
     "review/check/one_frame.py": "of digests and rows of tables, for a digest",
     "recipe/variation/varied.py": "of outcomes, as a key",
 }

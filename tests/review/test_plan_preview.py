@@ -18,7 +18,6 @@ from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildJob, BuildOptions
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera.pose_files.formats import read_poses
-from pepperscene.durations import format_duration
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.resolve.frame_setups import FrameSetups
 from pepperscene.recipe.resolve.load import resolve_recipe
@@ -29,6 +28,7 @@ from pepperscene.review.preview.places import scene_places, write_selected_poses
 from pepperscene.review.preview.preview import ProbeFrame, build_seconds, preview_plan
 from pepperscene.review.preview.summary import count_scenes, horizontal_field_deg, summarise_plan
 from pepperscene.review.preview.text import format_bytes, plan_lines
+from pepperscene.units import format_duration
 
 SMALL = {"plan.sets": 2, "plan.rotations": 2, "plan.frames": 3, "row.plants_front": 1, "row.plants_back": 0}
 NUMBERS = {"camera.width": 640, "camera.height": 480, "camera.sensor": "generic_rgb"}

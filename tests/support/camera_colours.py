@@ -12,11 +12,12 @@ from pepperscene.camera.image.colorimetry import NM as ALL_NM
 from pepperscene.camera.image.colorimetry import (
     SRGB_TO_XYZ,
     adapted_xyz,
+    balanced_rgb,
     colour_checker_reflectances,
+    colour_correction,
     d65_spectrum,
     xyz_to_lab,
 )
-from pepperscene.camera.image.colour_correction import balanced_rgb, colour_correction
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum, read_spectra
 

@@ -33,7 +33,7 @@ TOGETHER = (
     "-c",
     "import sys\n"
     "from pepperscene.cli import app\n"
-    "from pepperscene.cli.streams import protect_streams\n"
+    "from pepperscene.cli.application import protect_streams\n"
     "protect_streams()\n"
     "words = sys.argv[1:]\n"
     "while words:\n"

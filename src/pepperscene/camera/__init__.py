@@ -31,11 +31,9 @@ from pepperscene.camera.image.electrons import (
 )
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.optics.flash import Flash, load_flash
-from pepperscene.camera.optics.lens import AngularProfile, Lens, load_lens
+from pepperscene.camera.optics.lens import AngularProfile, Ghost, Lens, StrayLight, load_lens
 from pepperscene.camera.optics.projector import Projector, load_projector
-from pepperscene.camera.optics.stray_light import Ghost, StrayLight
 from pepperscene.camera.optics.white_reference import WhiteReference
-from pepperscene.camera.partners import Partners
 from pepperscene.camera.pose_files.formats import PoseFormat, read_poses, write_poses
 from pepperscene.camera.poses.generators import arc_path, grid_poses, look_at, protocol_poses
 from pepperscene.camera.poses.motion import Motion
@@ -45,7 +43,7 @@ from pepperscene.camera.sensor.bands import Band
 from pepperscene.camera.sensor.developing_steps import Developing
 from pepperscene.camera.sensor.sensor import Filter, Sensor
 from pepperscene.camera.sensor.sensor_files import load_filter, load_sensor
-from pepperscene.camera.stereo.depth_camera import DepthCamera, StereoMatching
+from pepperscene.camera.stereo.depth_camera import DepthCamera, Partners, StereoMatching
 from pepperscene.camera.stereo.depth_images import MatchedDepth, align_depth, match_depth
 
 __all__ = [

@@ -24,7 +24,7 @@ from pepperscene.camera.pixel_rays import (
     row_directions,
     slope_limits,
 )
-from pepperscene.camera.poses.checks import as_points
+from pepperscene.camera.poses.generators import as_points
 from pepperscene.camera.poses.motion import Motion, crossing_times
 from pepperscene.camera.sensor.developing_steps import Developing
 from pepperscene.camera.sensor.rows import Shutter

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import typer
 
-from pepperscene.durations import format_duration, format_rate
 from pepperscene.interrupts import raise_if_interrupted
+from pepperscene.units import format_duration, format_rate
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.cultivar.scans import SCAN_SUFFIXES
+from pepperscene.cultivar.organs import SCAN_SUFFIXES
 from pepperscene.document import extends_chain
 from pepperscene.errors import InputError
 from pepperscene.shipped import find_file, is_file

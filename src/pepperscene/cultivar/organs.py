@@ -1,4 +1,4 @@
-"""Organ kinds of a cultivar: the parameters of each form, and its slots.
+"""Organ kinds of a cultivar: the parameters of each form, its slots, and the scans of fruit.
 
 Codes such as P-1 or L-4 are those of Barth et al. 2018, Table 1. Inclinations are angles above the
 horizontal, in the vertical plane of the organ. Parameters that a file leaves out have a neutral default.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
@@ -28,9 +29,51 @@ from pepperscene.cultivar.notation import (
     Size,
     Width,
 )
-from pepperscene.cultivar.scans import FruitScans, ScanAxis, ScanFiles, ScanUnit, ScanWeights
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
+
+ScanAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+ScanUnit = Literal["m", "cm", "mm", "in"]
+
+SCAN_SUFFIXES: Final = (".glb", ".obj", ".ply", ".stl")
+
+UNIT_M: Final[Mapping[ScanUnit, float]] = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254})
+"""Metres of each unit that a file can be in."""
+
+
+@dataclass(frozen=True)
+class FruitScans:
+    """The scans of a fruit kind.
+
+    Attributes:
+        files: mesh files; each fruit uses one of them.
+        weights: relative frequency of each file, above 0; empty for equal ones.
+        up: axis of the files that points to the stalk end; None for that of the format, y for GLB, else z.
+        unit: of the files; None if it is not known.
+        colour: whether the fruit have the colours of the files instead of those of their pigments.
+        diameter_m: mean diameter of the kind, which the size of a file of known unit is compared with.
+    """
+
+    files: tuple[Path, ...]
+    weights: tuple[float, ...] = ()
+    up: ScanAxis | None = None
+    unit: ScanUnit | None = None
+    colour: bool = False
+    diameter_m: float = 0.08
+
+
+def _as_list(raw: Any) -> Any:
+    """One path as a list of one."""
+    if isinstance(raw, str | Path):
+        return (raw,)
+    if isinstance(raw, list | tuple) and all(isinstance(item, str | Path) for item in raw):
+        return raw
+    raise ValueError("must be a path, or a list of paths")
+
+
+ScanFiles = Annotated[tuple[Path, ...], BeforeValidator(_as_list)]
+ScanWeights = tuple[Annotated[float, Field(gt=0.0, le=1e6)], ...]
+
 
 OrganForm = Literal["internode", "node", "stalk", "blade", "peduncle", "calyx", "fruit", "cut", "flower"]
 FORMS: Final[tuple[OrganForm, ...]] = get_args(OrganForm)

@@ -1,9 +1,9 @@
-"""One frame of a data set: its JSON, checked outputs, objects and segments."""
+"""One frame of a data set: its JSON, checked outputs, objects, segments and class mask."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
-from pepperscene.dataset.selection import Selection
+from pepperscene.dataset.selection import FRUIT, Category, Selection
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import read_frame, read_output
 from pepperscene.errors import InputError
@@ -121,3 +121,63 @@ class DatasetFrame:
             problem = f"instance {unknown} is not in the frame's JSON"
             raise InputError(self.dataset.path(self.index, "instance"), problem, value=unknown)
         return ids
+
+
+BACKGROUND: Final = int(OrganClass.BACKGROUND)
+
+
+def mask_selection(selection: Selection) -> Selection:
+    """The selection whose categories are all classes of masks, in the order of their numbers.
+
+    If no category contains the background, class 0 is the background with all organs that are not selected,
+    and the categories follow; otherwise the classes are the categories, and other organs are ignored.
+    """
+    selected = frozenset[int]().union(*(category.parts for category in selection.categories))
+    if BACKGROUND in selected:
+        return selection
+    rest = frozenset({*map(int, OrganClass), *FRUIT}) - selected
+    return replace(selection, categories=(Category("background", rest), *selection.categories))
+
+
+def numbers_by_class(selection: Selection) -> NDArray[np.uint8]:
+    """`(256,)` the number of each class id of a class image, or `IGNORE_CLASS`.
+
+    Args:
+        selection: from `mask_selection`, whose categories do not depend on organs.
+    """
+    numbers = np.full(256, IGNORE_CLASS, np.uint8)
+    numbers[: len(OrganClass)] = [_number(selection, selection.category(organ)) for organ in OrganClass]
+    return numbers
+
+
+def class_mask(frame: DatasetFrame, selection: Selection) -> NDArray[np.uint8]:
+    """`(h, w)` the number of each pixel's class, or `IGNORE_CLASS`.
+
+    Organs that are not separate objects, and fruit of unknown ripeness, are ignored where the categories
+    depend on them.
+
+    Args:
+        frame: with the outputs that the selection needs.
+        selection: from `mask_selection`.
+    """
+    if not selection.needs_organs:
+        return numbers_by_class(selection)[frame.image("class")]
+    instance: NDArray[np.uint16] = frame.image("instance")
+    fruit, objects = frame.fruit_for(selection), frame.objects(selection, instance)
+    by_instance = np.full(1 << 16, IGNORE_CLASS, np.uint8)
+    by_instance[0] = _number(selection, selection.category(OrganClass.BACKGROUND))
+    for key, entry in frame.metadata["instances"].items():
+        value = int(key)
+        if entry["class"] == IGNORE_CLASS:
+            continue
+        category = selection.category(OrganClass(entry["class"]), fruit.get(value))
+        # The background has no objects, so nothing of it is ignored.
+        is_background = category is not None and BACKGROUND in category.parts
+        if value in objects or entry["plant"] < 0 or is_background:
+            by_instance[value] = _number(selection, category)
+    return by_instance[instance]
+
+
+def _number(selection: Selection, category: Category | None) -> int:
+    """The mask value of a class."""
+    return IGNORE_CLASS if category is None else selection.categories.index(category)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.dataset_frame import IGNORED, REST, DatasetFrame
 from pepperscene.dataset.selection import Category, Selection
-from pepperscene.dataset.store.crop import crop_name
 from pepperscene.dataset.store.images import png_bytes
+from pepperscene.dataset.store.recorded_values import crop_name
 from pepperscene.export.job import ExportJob
 from pepperscene.libraries import import_library
 from pepperscene.truth.keypoints import KEYPOINTS, SKELETON, fruit_keypoints

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
-from pepperscene.dataset.store.drawn_columns import DRAWN, drawn_columns
-from pepperscene.dataset.store.manifest import FRUIT_COLUMNS, fruit_rows
+from pepperscene.dataset.store.manifest import DRAWN, FRUIT_COLUMNS, drawn_columns, fruit_rows
 from pepperscene.errors import InputError
 
 CLASS_NAMES: Final = tuple(organ.name.lower() for organ in OrganClass)

@@ -60,11 +60,14 @@ _YOLO: Final = ExportFormat(
     has_crowds=False,
 )  # fmt: skip
 
+_SCENES: Final = ExportFormat("", "", _DEPTH, module="reconstruction", has_masks=True)
+
 _ALL: Final = (
     ExportFormat(
         "published",
         "folders, names and codes of the published data set",
         (("colour",), ("class",), ("distance_code", "distance")),
+        module="mask_folders",
     ),
     ExportFormat(
         "coco",
@@ -88,15 +91,20 @@ _ALL: Final = (
         classes="pepper",
     ),
     ExportFormat(
-        "semantic", "images and class masks", (*_COLOUR, ("class",)), smallest_px=1, has_background=True
+        "semantic",
+        "images and class masks",
+        (*_COLOUR, ("class",)),
+        module="mask_folders",
+        smallest_px=1,
+        has_background=True,
     ),
     ExportFormat("webdataset", "shards for webdataset", (*_COLOUR, ("class",))),
     ExportFormat(
         "huggingface", "Parquet files and a card for Hugging Face's `datasets`", (*_COLOUR, ("class",))
     ),
-    ExportFormat("nerfstudio", "`transforms.json` for radiance fields and splats", _DEPTH, has_masks=True),
-    ExportFormat("colmap", "a COLMAP model with seed points and their tracks", _DEPTH, has_masks=True),
-    ExportFormat("ply", "a labelled point cloud of each frame", _LABELLED_DEPTH),
+    replace(_SCENES, name="nerfstudio", description="`transforms.json` for radiance fields and splats"),
+    replace(_SCENES, name="colmap", description="a COLMAP model with seed points and their tracks"),
+    ExportFormat("ply", "a labelled point cloud of each frame", _LABELLED_DEPTH, module="reconstruction"),
     ExportFormat("rgbd", "RGB-D sequences as of TUM, with ROS's `camera_info`", _DEPTH),
     ExportFormat(
         "rgbd_sensor",

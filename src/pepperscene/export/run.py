@@ -23,10 +23,9 @@ from pepperscene.dataset.selection import RIPE_FROM, Selection, parse_categories
 from pepperscene.dataset.splits import Splits as Splits
 from pepperscene.dataset.splits import read_splits, shared_plants
 from pepperscene.dataset.splits import split_by_sets as split_by_sets
-from pepperscene.dataset.store.crop import fruit_name
 from pepperscene.dataset.store.dataset import Dataset, open_dataset
 from pepperscene.dataset.store.fields import frame_indices, read_info
-from pepperscene.dataset.store.recorded_values import recorded_values
+from pepperscene.dataset.store.recorded_values import fruit_name, recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.export.formats import FORMATS, ExportFormat
 from pepperscene.export.job import ExportJob, OnFrame

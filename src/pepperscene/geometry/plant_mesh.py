@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.classes import Appearance, Instance
-from pepperscene.cultivar.organs import OrganForm
-from pepperscene.cultivar.scans import FruitScans
+from pepperscene.cultivar.organs import FruitScans, OrganForm
 from pepperscene.geometry.batch import MeshBatch, form_indices
 from pepperscene.geometry.blade.blades import mesh_blades
 from pepperscene.geometry.fruit.calyx import mesh_calyces

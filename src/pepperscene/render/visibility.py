@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.poses.checks import as_points
+from pepperscene.camera.poses.generators import as_points
 from pepperscene.render.aov.flow import is_unoccluded
 from pepperscene.render.arrays import LocalCoordinates
 

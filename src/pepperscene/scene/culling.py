@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.poses.checks import as_poses
+from pepperscene.camera.poses.generators import as_poses
 from pepperscene.geometry import Mesh
 from pepperscene.scene.lod import Triangles, join_triangles, simplify_organs
 from pepperscene.scene.sky import SUN_ANGULAR_RADIUS

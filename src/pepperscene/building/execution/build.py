@@ -12,16 +12,22 @@ from pathlib import Path
 from typing import Final
 
 from pepperscene.atomic import write_error
-from pepperscene.building.execution.executor import Dispatcher, Executor, work_units
+from pepperscene.building.execution.executor import (
+    MAX_WORKERS,
+    Dispatcher,
+    Executor,
+    ProcessExecutor,
+    SerialExecutor,
+    work_units,
+)
 from pepperscene.building.execution.job import BuildJob, BuildOptions, FrameDone
-from pepperscene.building.execution.local import MAX_WORKERS, ProcessExecutor, SerialExecutor
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.folder import OutputFolder, check_output_folder
 from pepperscene.dataset.store.images import unlit_bands
 from pepperscene.dataset.store.journal import append_timings
 from pepperscene.dataset.store.manifest import Row
-from pepperscene.dataset.store.rendering_error import RenderingErrors
 from pepperscene.errors import ArgumentError, OutputError
+from pepperscene.frame import RenderingErrors
 from pepperscene.notebook_view import VIEWABLE, frames_html
 from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.recipe.recipe import Recipe

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, final
 
-from pepperscene.durations import format_duration, format_rate
+from pepperscene.units import format_duration, format_rate
 
 if TYPE_CHECKING:
     from rich.console import Console

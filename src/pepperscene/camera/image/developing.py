@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.image.colorimetry import d65_spectrum, srgb_decode, srgb_encode
-from pepperscene.camera.image.colour_correction import (
+from pepperscene.camera.image.colorimetry import (
     ColourCorrection,
     colour_correction,
+    d65_spectrum,
+    srgb_decode,
+    srgb_encode,
     white_balance_gains,
 )
 from pepperscene.camera.sensor.developing_steps import LARGEST_PEDESTAL, Tone

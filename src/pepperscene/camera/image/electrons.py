@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.camera import Camera
-from pepperscene.camera.optics.stray_light import StrayLight
+from pepperscene.camera.optics.lens import StrayLight
 from pepperscene.camera.sensor.rows import is_whole, row_strips
 from pepperscene.camera.sensor.sensor import Sensor
 

@@ -1,20 +1,261 @@
-"""Reading and writing files of camera poses: TUM, CSV, nerfstudio and COLMAP."""
+"""Files of camera poses: TUM and CSV tables, and the choice among these, nerfstudio and COLMAP."""
 
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import os
 import secrets
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Final, Literal, NamedTuple, get_args
+
+import numpy as np
 
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.pose_files.projects import colmap_texts, nerfstudio_text, read_colmap, read_nerfstudio
-from pepperscene.camera.pose_files.tables import csv_text, read_csv, read_tum, tum_text
-from pepperscene.camera.poses.pose_list import PoseList
+from pepperscene.camera.poses.generators import look_at
+from pepperscene.camera.poses.pose_list import (
+    Array,
+    Label,
+    PoseList,
+    ascending_times,
+    check_count,
+    check_name,
+    check_positions,
+    finite_number,
+    quaternions_of,
+    rigid_poses,
+    rotations_of_quaternions,
+    text_of,
+)
 from pepperscene.document import read_text
 from pepperscene.errors import ArgumentError, InputError, OutputError
+
+_TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_LONGEST_LINE: Final = 10_000  # characters; chosen: a pose with all digits and a long name has 300
+_METRES: Final = {"_m": 1.0, "_mm": 1e-3, "": 1.0}
+"""Unit of a coordinate by the end of its column's name."""
+_QUATERNION: Final = ("qx", "qy", "qz", "qw")
+_ANGLES: Final = ("yaw_deg", "pitch_deg", "roll_deg")
+_COLUMNS_ALLOWED: Final = (
+    "allowed are x_m, y_m, z_m (or x_mm, ..., or x, y, z in metres) with qx, qy, qz, qw, or yaw_deg, "
+    "pitch_deg and optionally roll_deg, or target_x_m, target_y_m, target_z_m; and optionally t_s and name"
+)
+_LEVEL: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+"""Camera axes in columns at yaw, pitch and roll 0: forward along +y, right along +x."""
+
+
+class _Table(NamedTuple):
+    """Texts of a file by column, and the line of each row."""
+
+    path: Path
+    columns: dict[str, int]
+    rows: list[list[str]]
+    lines: list[int]
+
+    def label(self, row: int) -> str:
+        return f"line {self.lines[row]}"
+
+    def numbers(self, names: Sequence[str]) -> Array:
+        """`(n, len(names))` finite numbers of these columns."""
+        places = [(name, self.columns[name]) for name in names]
+        values = [
+            [finite_number(row[i].strip(), self.path, f"line {line}, {name}") for name, i in places]
+            for row, line in zip(self.rows, self.lines, strict=True)
+        ]
+        return np.array(values)
+
+
+def read_tum(path: Path, text: str) -> PoseList:
+    """Poses of lines `timestamp tx ty tz qx qy qz qw` in seconds and metres; `#` starts a comment.
+
+    Raises:
+        InputError: a line does not have eight finite numbers, a quaternion is not of length 1, or times are
+            not ascending.
+    """
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    for number, line in enumerate(_lines(path, text), start=1):
+        fields = line.split("#", 1)[0].split()
+        if not fields:
+            continue
+        if len(fields) != len(_TUM_COLUMNS):
+            problem = f"must have {len(_TUM_COLUMNS)} numbers, {' '.join(_TUM_COLUMNS)}, not {len(fields)}"
+            raise InputError(path, problem, key=f"line {number}")
+        rows.append(fields)
+        lines.append(number)
+        check_count(len(rows), path)
+    check_count(len(rows), path)
+    table = _Table(path, {name: i for i, name in enumerate(_TUM_COLUMNS)}, rows, lines)
+    values = table.numbers(_TUM_COLUMNS)
+    times = ascending_times(values[:, 0].tolist(), path, table.label)
+    check_positions(values[:, 1:4], path, table.label)
+    rotation = rotations_of_quaternions(values[:, 4:], path, table.label)
+    return PoseList(rigid_poses(rotation, values[:, 1:4]), times)
+
+
+def tum_text(poses: PoseList) -> str:
+    """The text of a TUM file; names are not part of it.
+
+    Raises:
+        ArgumentError: the poses have no times.
+    """
+    if poses.times_s is None:
+        raise ArgumentError("poses", "must have times to be written as a TUM file", key="times_s")
+    rows = np.column_stack([poses.times_s, poses.poses[:, :3, 3], quaternions_of(poses.poses[:, :3, :3])])
+    return "\n".join([f"# {' '.join(_TUM_COLUMNS)}", *(" ".join(text_of(row)) for row in rows), ""])
+
+
+def read_csv(path: Path, text: str) -> PoseList:
+    """Poses of a table with commas and a header; blank lines and lines that start with `#` are left out.
+
+    Raises:
+        InputError: the columns are not a position with an orientation, or a value is not allowed.
+    """
+    table = _read_table(path, text)
+    names = set(table.columns)
+    position_columns, scale = _coordinates("", names, path)
+    position = table.numbers(position_columns) * scale
+    check_positions(position, path, table.label)
+    # Exactly one kind of orientation.
+    has_target = any(name.startswith("target_") for name in names)
+    has = {"q": bool(names & set(_QUATERNION)), "angles": bool(names & set(_ANGLES)), "target": has_target}
+    if sum(has.values()) != 1:
+        found = "more than one kind of" if any(has.values()) else "no"
+        raise InputError(path, f"has {found} orientation; {_COLUMNS_ALLOWED}", key="header")
+    if has["target"]:
+        target_columns, scale = _coordinates("target_", names, path)
+        used = {*position_columns, *target_columns}
+        poses = _poses_of_targets(position, table.numbers(target_columns) * scale, path, table.label)
+    else:
+        orientation = _QUATERNION if has["q"] else _ANGLES[: 3 if "roll_deg" in names else 2]
+        if missing := set(orientation) - names:
+            raise InputError(path, f"lacks the column {min(missing)}; {_COLUMNS_ALLOWED}", key="header")
+        used = {*position_columns, *orientation}
+        values = table.numbers(orientation)
+        if has["q"]:
+            rotation = rotations_of_quaternions(values, path, table.label)
+        else:
+            rotation = rotations_of_angles(np.radians(values))
+        poses = rigid_poses(rotation, position)
+    if unknown := names - used - {"t_s", "name"}:
+        raise InputError(path, f"has an unknown column; {_COLUMNS_ALLOWED}", key="header", value=min(unknown))
+    times = None
+    if "t_s" in names:
+        times = ascending_times(table.numbers(["t_s"])[:, 0].tolist(), path, table.label)
+    return PoseList(poses, times, _names(table) if "name" in names else None)
+
+
+def csv_text(poses: PoseList) -> str:
+    """The text of a CSV file in metres with quaternions, and with times and names if there are any.
+
+    Raises:
+        ArgumentError: a name starts with `#`, so that its row would be read as a comment.
+    """
+    if comments := [name for name in poses.names or () if name.startswith("#")]:
+        problem = "must not start with # in a CSV file, where it starts a comment"
+        raise ArgumentError("poses", problem, key="names", value=comments[0])
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    columns = ["x_m", "y_m", "z_m", *_QUATERNION]
+    rows = [
+        text_of(row) for row in np.hstack([poses.poses[:, :3, 3], quaternions_of(poses.poses[:, :3, :3])])
+    ]
+    if poses.times_s is not None:
+        columns = ["t_s", *columns]
+        rows = [[time, *row] for time, row in zip(text_of(poses.times_s), rows, strict=True)]
+    if poses.names is not None:
+        columns = ["name", *columns]
+        rows = [[name, *row] for name, row in zip(poses.names, rows, strict=True)]
+    writer.writerows([columns, *rows])
+    return buffer.getvalue()
+
+
+def rotations_of_angles(angles_rad: Array) -> Array:
+    """`(n, 3, 3)` camera axes of yaw, pitch and, by default 0, roll `(n, 2 or 3)`.
+
+    At 0 the camera is level and looks along +y, into the crop. Yaw turns it about the vertical, positive
+    counter-clockwise as seen from above; pitch then tilts it up; roll then turns it about its optical axis,
+    positive clockwise as seen from behind it: R = Rz(yaw) Rx(pitch) L Rz(roll) with the level axes L.
+    """
+    from scipy.spatial.transform import Rotation
+
+    direction = Rotation.from_euler("ZX", angles_rad[:, :2]).as_matrix() @ _LEVEL
+    if angles_rad.shape[1] == 2:
+        return np.asarray(direction)
+    return np.asarray(direction @ Rotation.from_euler("z", angles_rad[:, 2:]).as_matrix())
+
+
+def _read_table(path: Path, text: str) -> _Table:
+    reader = csv.reader((f"{line}\n" for line in _lines(path, text)), skipinitialspace=True)
+    columns: dict[str, int] = {}
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    try:
+        for fields in reader:
+            if not any(field.strip() for field in fields) or fields[0].startswith("#"):
+                continue
+            if not columns:
+                columns = _columns([field.strip() for field in fields], path)
+                continue
+            if len(fields) != len(columns):
+                problem = f"must have {len(columns)} values, as many as the header, not {len(fields)}"
+                raise InputError(path, problem, key=f"line {reader.line_num}")
+            rows.append(fields)
+            lines.append(reader.line_num)
+            check_count(len(rows), path)
+    except csv.Error as error:
+        raise InputError(path, f"is not a table: {error}", key=f"line {reader.line_num}") from None
+    check_count(len(rows), path)
+    return _Table(path, columns, rows, lines)
+
+
+def _lines(path: Path, text: str) -> Iterator[str]:
+    """The lines of a table; raises `InputError` for one that is far too long for a pose."""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if len(line) > _LONGEST_LINE:
+            raise InputError(path, f"is longer than {_LONGEST_LINE:,} characters", key=f"line {number}")
+        yield line
+
+
+def _columns(names: list[str], path: Path) -> dict[str, int]:
+    if repeated := {name for name, count in Counter(names).items() if count > 1}:
+        raise InputError(path, "must name each column once", key="header", value=min(repeated))
+    return {name: i for i, name in enumerate(names)}
+
+
+def _coordinates(prefix: str, names: set[str], path: Path) -> tuple[list[str], float]:
+    """Three columns of coordinates, and their unit in metres."""
+    found = [
+        ([f"{prefix}{axis}{suffix}" for axis in "xyz"], scale)
+        for suffix, scale in _METRES.items()
+        if {f"{prefix}{axis}{suffix}" for axis in "xyz"} & names
+    ]
+    if len(found) != 1 or not names.issuperset(found[0][0]):
+        problem = f"must have {prefix}x, {prefix}y and {prefix}z in one unit; {_COLUMNS_ALLOWED}"
+        raise InputError(path, problem, key="header")
+    return found[0]
+
+
+def _poses_of_targets(position: Array, target: Array, path: Path, label: Label) -> Array:
+    poses = np.empty((len(position), 4, 4))
+    for number, (start, end) in enumerate(zip(position, target, strict=True)):
+        try:
+            poses[number] = look_at(start, end)
+        except ValueError as error:
+            raise InputError(path, f"has a target that is not allowed: {error}", key=label(number)) from None
+    return poses
+
+
+def _names(table: _Table) -> tuple[str, ...]:
+    names = tuple(row[table.columns["name"]].strip() for row in table.rows)
+    for number, name in enumerate(names):
+        check_name(name, table.path, f"{table.label(number)}, name")
+    return names
+
 
 PoseFormat = Literal["tum", "csv", "nerfstudio", "colmap"]
 _ALLOWED: Final = "allowed are TUM, CSV with a header, nerfstudio's transforms.json and COLMAP's images.txt"

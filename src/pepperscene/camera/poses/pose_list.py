@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera.poses.checks import (
+from pepperscene.camera.poses.generators import (
     LATEST_S,
     LEAST_INTERVAL_S,
     MAX_POSES,

@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.checks import MAX_POSES, check_intervals, check_poses, check_times
-from pepperscene.camera.poses.generators import pose_along
+from pepperscene.camera.poses.generators import (
+    MAX_POSES,
+    check_intervals,
+    check_poses,
+    check_times,
+    pose_along,
+)
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

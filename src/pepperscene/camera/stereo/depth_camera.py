@@ -1,4 +1,6 @@
-"""A stereo depth camera: two equal imagers side by side, with or without a projector, and their matching."""
+"""A stereo depth camera: two equal imagers side by side, with or without a projector, and their matching; and
+the further devices that some outputs of a frame need.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,7 @@ from pydantic import Field
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.image.auto_exposure import ExposureControl
 from pepperscene.camera.optics.projector import Projector
+from pepperscene.camera.optics.white_reference import WhiteReference
 from pepperscene.units import MILLIMETRES, Table, within
 
 
@@ -127,3 +130,20 @@ class DepthCamera:
             "projector": None if self.projector is None else self.projector.name,
             "matching": dataclasses.asdict(self.matching),
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Partners:
+    """Further devices of a frame, beside its camera.
+
+    Attributes:
+        flow: the camera of the next frame, the target of the output `flow`; None gives no flow.
+        stereo: the partner of `stereo` and `colour_stereo`.
+        depth: the depth camera of `depth_sensor` and the other `DEPTH_CAMERA_OUTPUTS`, at its pose.
+        white_reference: of `reflectance`; by default a panel of 0.99 half a metre in front of the camera.
+    """
+
+    flow: Camera | None = None
+    stereo: Camera | None = None
+    depth: DepthCamera | None = None
+    white_reference: WhiteReference = field(default_factory=WhiteReference)

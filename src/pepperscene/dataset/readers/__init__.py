@@ -3,7 +3,6 @@
 from pepperscene.dataset.readers.coco import CocoSet
 from pepperscene.dataset.readers.folder import FolderSet
 from pepperscene.dataset.readers.labels import KNOWN_LABELS, LabelMap
-from pepperscene.dataset.readers.open import RenderedSet, open_images
-from pepperscene.dataset.readers.published import PublishedSet
+from pepperscene.dataset.readers.open import PublishedSet, RenderedSet, open_images
 
 __all__ = ["KNOWN_LABELS", "CocoSet", "FolderSet", "LabelMap", "PublishedSet", "RenderedSet", "open_images"]

@@ -16,14 +16,13 @@ import torch
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.class_masks import class_mask, mask_selection, numbers_by_class
-from pepperscene.dataset.dataset_frame import DatasetFrame
+from pepperscene.dataset.dataset_frame import DatasetFrame, class_mask, mask_selection, numbers_by_class
 from pepperscene.dataset.readers.image_set import ARRAYS, ImageSet
 from pepperscene.dataset.readers.open import RenderedSet
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_steps import ARRAY_KEYS
 from pepperscene.dataset.selection import RIPE_FROM, Selection, parse_categories
-from pepperscene.dataset.store.crop import fruit_name
+from pepperscene.dataset.store.recorded_values import fruit_name
 from pepperscene.errors import ArgumentError, InputError, SetupError
 
 TENSORS: Final = ("auto", "plain", "tv")

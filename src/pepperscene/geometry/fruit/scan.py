@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.cultivar.scans import SCAN_SUFFIXES, UNIT_M, FruitScans, ScanAxis, ScanUnit
+from pepperscene.cultivar.organs import SCAN_SUFFIXES, UNIT_M, FruitScans, ScanAxis, ScanUnit
 from pepperscene.errors import InputError
 from pepperscene.geometry.batch import MeshBatch, hash_uniform, read_measure, read_positive
 from pepperscene.geometry.fruit.fruits import (

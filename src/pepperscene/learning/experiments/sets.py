@@ -13,8 +13,7 @@ from pepperscene.atomic import digest as file_digest
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.readers.open import label_targets, open_images
-from pepperscene.dataset.readers.published import published_halves
+from pepperscene.dataset.readers.open import label_targets, open_images, published_halves
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.experiments.splits import (
     Split,

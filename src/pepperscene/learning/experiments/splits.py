@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.dataset.readers.image_set import ImageSet
-from pepperscene.dataset.readers.open import RenderedSet
-from pepperscene.dataset.readers.published import PublishedSet
+from pepperscene.dataset.readers.open import PublishedSet, RenderedSet
 from pepperscene.errors import InputError
 
 _PAPER_SYNTHETIC: Final = ((1, 8750), (8751, 8800), (8851, 8900))

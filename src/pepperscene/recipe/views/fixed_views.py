@@ -77,7 +77,7 @@ def _views(
 ) -> tuple[Array, Array | None]:
     """Poses `(n, 4, 4)`; velocities and angular velocities `(2, n, 3)`, or None without motion."""
     from pepperscene.camera import arc_path, grid_poses, protocol_poses
-    from pepperscene.camera.poses.checks import too_close
+    from pepperscene.camera.poses.generators import too_close
     from pepperscene.camera.poses.trajectory import trajectory_from_poses
 
     match table:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.checks import as_points
+from pepperscene.camera.poses.generators import as_points
 from pepperscene.geometry import Mesh
 
 if TYPE_CHECKING:

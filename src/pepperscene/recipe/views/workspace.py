@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.checks import MAX_POSES, as_points, as_positions
-from pepperscene.camera.poses.generators import look_at
+from pepperscene.camera.poses.generators import MAX_POSES, as_points, as_positions, look_at
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import Mesh
 from pepperscene.recipe.views.free_space import FreeSpace

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import Camera
-from pepperscene.camera.poses.checks import as_poses, check_poses
+from pepperscene.camera.poses.generators import as_poses, check_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.render.arrays import local_coordinates
 from pepperscene.render.kernel.scene import truth_scene

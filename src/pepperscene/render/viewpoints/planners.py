@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.checks import as_poses
+from pepperscene.camera.poses.generators import as_poses
 from pepperscene.errors import ArgumentError
 from pepperscene.truth.view_planning import ViewSequence, greedy_views, view_coverage
 

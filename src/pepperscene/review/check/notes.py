@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.dataset.store.rendering_error import RenderingErrors
+from pepperscene.frame import RenderingErrors
 from pepperscene.recipe.camera_tables import AUTO
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.variation.recorded import (

@@ -135,7 +135,7 @@ def check_can_write_poses(renderer: FrameRenderer, indices: Sequence[int], *, gr
         ArgumentError: the views depend on plants that must not be grown, or the frames are too many for a
             file.
     """
-    from pepperscene.camera.poses.checks import MAX_POSES
+    from pepperscene.camera.poses.generators import MAX_POSES
 
     if renderer.views.depends_on_scene and not grown:
         kind = renderer.recipe.views.kind

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from pepperscene.building.memory import format_size
-from pepperscene.durations import format_duration
 from pepperscene.review.preview.preview import CostEstimate
 from pepperscene.review.preview.summary import CameraSummary, PlanSummary
+from pepperscene.units import format_duration
 
 _INDENT: Final = 10  # columns before the text of a section
 _UNITS: Final = {"_mm_s": " mm/s", "_mm": " mm", "_deg": "°", "_hz": " Hz"}

@@ -18,10 +18,10 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers import RenderedSet
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.store.dataset import Dataset
-from pepperscene.dataset.store.drawn_columns import DRAWN
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.dataset.store.journal import JOURNAL
 from pepperscene.dataset.store.manifest import (
+    DRAWN,
     MANIFEST,
     frame_row,
     stored_row,

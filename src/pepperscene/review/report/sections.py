@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.recorded_values import is_varied
-from pepperscene.durations import format_duration
 from pepperscene.recipe.camera_tables import AUTO
 from pepperscene.review.report.charts import Curve, line_chart, value_chart
 from pepperscene.review.report.colours import png_data_uri, viridis_colours
@@ -18,6 +17,7 @@ from pepperscene.review.report.data import FrameRecords, SetSummary
 from pepperscene.review.report.image_view import Picture
 from pepperscene.review.report.page import format_percent, plural
 from pepperscene.truth import HUE_BINS, centre_falloff, hue_spectrum_correlation, mean_hue
+from pepperscene.units import format_duration
 
 _HUES: Final = np.arange(HUE_BINS) * (360.0 / HUE_BINS)
 _HUE_AXIS: Final = ("hue, degrees", (0, 60, 120, 180, 240, 300, 360))

@@ -11,10 +11,10 @@ from pepperscene.atomic import atomic_write
 from pepperscene.classes import IGNORE_COLOUR
 from pepperscene.dataset.readers import RenderedSet, open_images
 from pepperscene.dataset.readers.image_set import FIELDS, ImageSet, LabelledImage
-from pepperscene.dataset.store.crop import crop_name, cultivar_names
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.fields import has_ignored_pixels, read_info
 from pepperscene.dataset.store.frame_json import DIGITS
+from pepperscene.dataset.store.recorded_values import crop_name, cultivar_names
 from pepperscene.errors import InputError, OutputError
 from pepperscene.recipe.plan import Plan
 from pepperscene.review.report import sections

@@ -1,15 +1,17 @@
-"""COLMAP: the text model of a scene, with seed points and the images that show each of them.
+"""Scenes for reconstruction: nerfstudio's transforms.json, COLMAP's text model, and point clouds.
 
-Format: https://colmap.github.io/format.html; camera models: https://colmap.github.io/cameras.html.
+Formats: https://docs.nerf.studio/quickstart/data_conventions.html; https://colmap.github.io/format.html,
+https://colmap.github.io/cameras.html; PLY: G. Turk, "The PLY polygon file format", Stanford University, 1994,
+https://paulbourke.net/dataformats/ply/.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +22,148 @@ from pepperscene.camera.pose_files.projects import (
     COLMAP_POINTS,
     colmap_camera,
     colmap_images,
+    nerfstudio_frame,
+    nerfstudio_intrinsics,
 )
 from pepperscene.dataset.dataset_frame import DatasetFrame
-from pepperscene.export.job import ExportJob, open_groups, scene_groups, scene_splits, training_frames
+from pepperscene.errors import ArgumentError, InputError
+from pepperscene.export.job import (
+    ExportJob,
+    open_groups,
+    scene_groups,
+    scene_splits,
+    training_frames,
+    write_json,
+    write_table,
+)
 from pepperscene.export.surface import (
+    MILLIMETRES,
     SEED_POINTS,
     RangeImage,
     SeedPoints,
     mask_png,
+    read_colour,
+    read_label,
     read_surface,
     seed_points,
 )
+
+_COLUMNS: Final = ("index", "set", "rotation", "step", "split", "file")
+_COLOURS: Final = ("red", "green", "blue")
+_LABELS: Final = ("class", "instance")
+
+
+def write_ply(job: ExportJob, folder: Path) -> None:
+    """Write `points/000110.ply` of each frame, and `frames.csv`, which gives its split.
+
+    A point is a pixel with a surface: its centre's world coordinates `x`, `y`, `z` in metres, its colour
+    `red`, `green`, `blue`, its `class` id and its `instance`.
+    """
+    (folder / "points").mkdir()
+
+    def write_clouds() -> Iterator[dict[str, Any]]:
+        for frame in job.frames():
+            name = f"points/{frame.name}.ply"
+            (folder / name).write_bytes(_point_cloud(frame))
+            yield {**frame.metadata, "split": job.split_of[frame.index], "file": name}
+
+    write_table(folder / "frames.csv", _COLUMNS, write_clouds())
+
+
+def _point_cloud(frame: DatasetFrame) -> bytes:
+    surface = read_surface(frame, allows_line_scan=True)
+    colour, labels = read_colour(frame, surface), {name: read_label(frame, name, surface) for name in _LABELS}
+    rows, columns = np.nonzero(np.isfinite(surface.distance))
+    extra = {name: image[rows, columns] for name, image in labels.items()}
+    return point_file(surface.points(rows, columns), colour[rows, columns], **extra)
+
+
+def point_file(
+    position: NDArray[np.floating[Any]], colour: NDArray[np.uint8], **extra: NDArray[Any]
+) -> bytes:
+    """A binary PLY file of points.
+
+    Args:
+        position: `(n, 3)` metres, stored in single precision.
+        colour: `(n, 3)` uint8.
+        extra: more properties by name, each `(n,)` of uint8 or uint16.
+    """
+    columns = dict(zip("xyz", np.asarray(position, "<f4").T, strict=True))
+    columns |= dict(zip(_COLOURS, colour.T, strict=True))
+    columns |= {name: values.astype(values.dtype.newbyteorder("<")) for name, values in extra.items()}
+    names = {"f": "float", "u1": "uchar", "u2": "ushort"}
+    properties = [
+        f"property {names.get(values.dtype.str[1:], names.get(values.dtype.kind))} {name}"
+        for name, values in columns.items()
+    ]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(position)}", *properties]
+    table = np.empty(len(position), [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        table[name] = values
+    return "\n".join([*header, "end_header", ""]).encode("ascii") + table.tobytes()
+
+
+_POINT_FILE: Final = "seed_points.ply"
+
+
+def write_nerfstudio(job: ExportJob, folder: Path) -> None:
+    """Write `transforms.json`, `images/000110.png`, `depths/000110.png` and `seed_points.ply` of each scene.
+
+    Every frame has its own intrinsics. Depths are along the optical axis, in millimetres, 0 for none. If
+    frames can have ignored pixels, `masks/000110.png` is 0 there and 255 elsewhere. Splits are lists of
+    images, `train_filenames` and so on; seed points are from frames of the split `train`.
+    """
+    for place, indices, frames in open_groups(job, folder, scene_groups(job)):
+        points = seed_points(training_frames(job, indices), SEED_POINTS, skip_ignored=job.has_ignored_pixels)
+        (place / _POINT_FILE).write_bytes(point_file(points.position, points.colour))
+        content = _transforms(job, indices, _write_frames(job, place, frames))
+        write_json(place / "transforms.json", content)
+
+
+def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The content of `transforms.json`: entries of frames without the camera model, which all share."""
+    paths = {index: entry["file_path"] for index, entry in zip(indices, entries, strict=True)}
+    splits = scene_splits(job, indices)
+    return {
+        "camera_model": entries[0]["camera_model"],
+        # The default of nerfstudio, which does not read this key; it tells people the unit.
+        "depth_unit_scale_factor": 1 / MILLIMETRES,
+        "ply_file_path": _POINT_FILE,
+        **{f"{split}_filenames": [paths[index] for index in members] for split, members in splits.items()},
+        "frames": [{key: entry[key] for key in entry if key != "camera_model"} for entry in entries],
+    }
+
+
+def _write_frames(job: ExportJob, place: Path, frames: Iterable[DatasetFrame]) -> list[dict[str, Any]]:
+    """Write the images of a scene, and return their entries in `frames`."""
+    folders = ["images", "depths", *(["masks"] if job.has_ignored_pixels else [])]
+    for name in folders:
+        (place / name).mkdir()
+    entries: list[dict[str, Any]] = []
+    for frame in frames:
+        surface, file = read_surface(frame), f"{frame.name}.png"
+        contents = {"images": frame.content("colour"), "depths": surface.depth_png()}
+        if job.has_ignored_pixels:
+            contents["masks"] = mask_png(frame, surface)
+        for name, content in contents.items():
+            (place / name / file).write_bytes(content)
+        entry = nerfstudio_frame(f"images/{file}", surface.camera.pose) | {
+            "depth_file_path": f"depths/{file}"
+        }
+        if job.has_ignored_pixels:
+            entry["mask_path"] = f"masks/{file}"
+        try:
+            entry |= nerfstudio_intrinsics(surface.camera)
+        except ArgumentError as error:
+            path = frame.dataset.frame_path(frame.index)
+            raise InputError(path, error.problem, key="camera.distortion") from None
+        if entries and entry["camera_model"] != entries[0]["camera_model"]:
+            problem = "must be the same kind in all frames of a scene: nerfstudio has one camera model"
+            path = frame.dataset.frame_path(frame.index)
+            raise InputError(path, problem, key="camera.distortion.model", value=entry["camera_model"])
+        entries.append(entry)
+    return entries
+
 
 DISTANCE_TOLERANCE: Final = 0.005
 """Relative difference of distances up to which a pixel shows a point. Chosen: 2 mm at 40 cm, which a surface
