@@ -40,7 +40,7 @@ from pepperscene.colour.comparison import similarity
 from pepperscene.colour.statistics import bin_angles
 from pepperscene.render.quality import Quality
 from pepperscene.review.report.colours import distance_colours, instance_colours
-from pepperscene.tuning import TuningTarget, fit_parameters, write_tuned
+from pepperscene.tuning import RunInfo, TuningTarget, fit_parameters, write_tuned
 
 ROOT: Final = Path(__file__).parents[2]
 IMAGES: Final = ROOT / "docs" / "images"
@@ -122,7 +122,7 @@ def tuning_folder() -> Path:
         patches = ps.simulate_patches(recipe, FITTED, KINDS, **few)
         target = TuningTarget(recipe, patches, registered=True, **few)
         fit = fit_parameters(target, target.problem(list(FITTED)), starts=1)
-        write_tuned(recipe, fit, folder, patches=patches, when=date(2026, 1, 31), extends="barth2018")
+        write_tuned(recipe, fit, folder, RunInfo.of(patches, date(2026, 1, 31)), extends="barth2018")
     return folder
 
 

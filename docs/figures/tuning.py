@@ -20,7 +20,7 @@ from PIL import Image
 
 from pepperscene import load_recipe
 from pepperscene.colour import Patch
-from pepperscene.tuning import TuningTarget, fit_parameters, simulate_patches, write_tuned
+from pepperscene.tuning import RunInfo, TuningTarget, fit_parameters, simulate_patches, write_tuned
 from pepperscene.tuning.views import OrganView
 
 KINDS: Final = ("leaf", "pepper.unripe", "pepper.ripe", "peduncle", "stem", "shoot")
@@ -68,7 +68,7 @@ def write_fit_figure(path: Path) -> None:
     fit = fit_parameters(target, target.problem(list(HIDDEN)))
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "tuned"
-        write_tuned(recipe, fit, out, patches=patches, when=date(2026, 1, 31), extends="barth2018")
+        write_tuned(recipe, fit, out, RunInfo.of(patches, date(2026, 1, 31)), extends="barth2018")
         shutil.copy(out / "before_after.png", path)
 
 

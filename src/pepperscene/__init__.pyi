@@ -112,6 +112,7 @@ from .truth.view_planning import ViewSequence as ViewSequence
 from .truth.view_planning import exact_views as exact_views
 from .truth.view_planning import greedy_views as greedy_views
 from .truth.view_planning import view_coverage as view_coverage
+from .tuning import TuningOptions as TuningOptions
 from .tuning import TuningResult as TuningResult
 from .tuning import simulate_patches as simulate_patches
 from .tuning import tune as tune

@@ -18,7 +18,7 @@ from pepperscene.geometry import Mesh
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.views import random_views
 from pepperscene.recipe.views.free_space import FreeSpace, closed_parts, winding_number
-from pepperscene.recipe.views.random_views import aimed_rotations, directions, image_rays, random_view
+from pepperscene.recipe.views.random_views import ViewSearch, aimed_rotations, directions, image_rays
 from pepperscene.recipe.views.targets import RIPE_FROM, target_instances
 from pepperscene.recipe.views_tables import RandomViews
 from pepperscene.render import Renderer
@@ -109,7 +109,7 @@ def camera():
 @pytest.fixture(scope="module")
 def views(scene, space, camera):
     rng = np.random.default_rng(5)
-    return [random_view(SETTINGS, scene, camera, rng, anything, space) for _ in range(300)]
+    return [ViewSearch(SETTINGS, scene, camera, space).find(rng, anything) for _ in range(300)]
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +258,7 @@ def test_views_in_empty_space_are_uniform(camera):
     )  # fmt: skip
     scene, rng = assemble_scene(ball(centre=(50.0, 0.0, 1.0))), np.random.default_rng(0)
     space = FreeSpace(scene.mesh)
-    views = [random_view(settings, scene, camera, rng, anything, space) for _ in range(300)]
+    views = [ViewSearch(settings, scene, camera, space).find(rng, anything) for _ in range(300)]
     away = np.array([view.pose[:3, 3] for view in views]) - settings.target
     distance = np.linalg.norm(away, axis=1)
     place = np.array([camera.at_pose(view.pose).project(view.target_point)[0] for view in views])
@@ -298,7 +298,7 @@ def test_the_flash_is_in_free_space(scene, space, frames):
     camera = frames.resolved.camera
     settings = replace(SETTINGS, clearance_m=0.0, volume_m=None)
     rng = np.random.default_rng(0)
-    views = [random_view(settings, scene, camera, rng, anything, space) for _ in range(20)]
+    views = [ViewSearch(settings, scene, camera, space).find(rng, anything) for _ in range(20)]
     flash = camera.flash
     emitters = np.column_stack([flash.emitters_m, np.zeros(len(flash.emitters_m))]) + flash.offset_m
     for view in views:
@@ -330,7 +330,7 @@ def test_targets_are_the_same_without_the_skeleton(scene):
 
 def test_views_depend_on_the_generator_alone(scene, space, camera, monkeypatch):
     def draw(space=None):
-        view = random_view(SETTINGS, scene, camera, np.random.default_rng(7), anything, space)
+        view = ViewSearch(SETTINGS, scene, camera, space).find(np.random.default_rng(7), anything)
         return view.pose.tobytes(), view.target_instance, view.attempts
 
     first = draw(space)
@@ -346,7 +346,7 @@ def test_views_depend_on_the_generator_alone(scene, space, camera, monkeypatch):
 def refusal(settings, scene, camera, visible=anything, attempts=2000):
     rng = np.random.default_rng(0)
     with pytest.raises(InputError) as caught:
-        random_view(settings, scene, camera, rng, visible, where="mine.toml", attempts=attempts)
+        ViewSearch(settings, scene, camera, where="mine.toml").find(rng, visible, attempts=attempts)
     message = str(caught.value)
     assert message.startswith("mine.toml: ")
     assert "\n" not in message
@@ -414,7 +414,7 @@ def test_visibility_is_the_share_of_the_pixels_that_the_organ_has_alone(scene, s
     renderer, rng, alone = Renderer(scene), np.random.default_rng(11), {}
     predicted, counted = [], []
     for _ in range(30):
-        view = random_view(settings, scene, small_camera, rng, renderer.visible_points, space)
+        view = ViewSearch(settings, scene, small_camera, space).find(rng, renderer.visible_points)
         index, posed = view.target_instance, small_camera.at_pose(view.pose)
         if index not in alone:
             alone[index] = Renderer(assemble_scene(scene.mesh.select_instances([index])))

@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 
 from pepperscene.colour import PatchSet, open_patches
-from pepperscene.tuning import tune
+from pepperscene.tuning import TuningOptions, tune
 
 HERE = Path(__file__).parent / "photos"
 PHOTOS = Path(os.environ.get("PEPPERSCENE_PHOTOS", HERE.parents[3] / "shared" / "reference" / "photos"))
@@ -53,9 +53,8 @@ def verification(fruit, tmp_path_factory):
     def tuned_without(half):
         out = tmp_path_factory.mktemp("tuned") / "out"
         bounds = HERE / "bounds.toml"
-        return tune(
-            HERE / "phone.toml", fruit, PARAMETERS, out, bounds=bounds, hold_out=half, starts=1, verify=12
-        ).verification
+        options = TuningOptions(bounds=bounds, hold_out=half, starts=1, verify=12)
+        return tune(HERE / "phone.toml", fruit, PARAMETERS, out, options).verification
 
     return tuned_without
 

@@ -29,8 +29,8 @@ WHEN = datetime.date(2026, 1, 2)
 STATES = np.linspace(0.0, 1.0, 401)
 
 
-def write(recipe, fit, out, **options):
-    return write_tuned(recipe, fit, out, patches=example_patches(), when=WHEN, **options)
+def write(recipe, fit, out, options=None, **further):
+    return write_tuned(recipe, fit, out, RunInfo.of(example_patches(), WHEN, options), **further)
 
 
 def check_pigments(pigments, expected):

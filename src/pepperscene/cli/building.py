@@ -214,10 +214,10 @@ def plant(
 ) -> None:
     """Grow one plant and export its mesh, with an image."""
     from pepperscene.building.scenes.plant_export import export_plant
+    from pepperscene.building.scenes.plants import growth_stage
 
-    result = export_plant(
-        cultivar, out, seed, detail=detail, until=until, share=share, picture=picture, quality=quality
-    )
+    stage = growth_stage(cultivar, until, share)
+    result = export_plant(stage, out, seed, detail=detail, picture=picture, quality=quality)
     typer.echo(
         f"{result.cultivar}, seed {seed}: {sum(result.organs.values()):,} organs, "
         f"{result.triangles:,} triangles, {result.height_m:.2f} m tall, grown in {result.seconds:.2f} s"

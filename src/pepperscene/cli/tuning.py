@@ -29,7 +29,7 @@ _HELP: Final = "help"
 
 @dataclass(frozen=True)
 class TuneOptions:
-    """How a recipe is fitted; the attributes are arguments of `pepperscene.tuning.tune`."""
+    """How a recipe is fitted; the attributes are those of `pepperscene.TuningOptions`."""
 
     bounds: Annotated[Path | None, Option("TOML file that overrides the default bounds.", "FILE")] = None
     hold_out: Annotated[
@@ -100,6 +100,7 @@ def tune(
     # A permission is given anew each time.
     del record["allow_code"]
 
+    from pepperscene.tuning.workflow import TuningOptions
     from pepperscene.tuning.workflow import tune as tune_recipe
 
     try:
@@ -109,9 +110,9 @@ def tune(
                 measured,
                 names,
                 folder,
-                **chosen,
-                options=record,
+                TuningOptions(**chosen),
                 extends=recipe,
+                record=record,
                 on_progress=on_progress,
             )
     except KeyboardInterrupt as error:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet, open_patches
 from pepperscene.tuning.figure import BeforeAfter
 from pepperscene.tuning.least_squares import STARTS, FitResult, fit_parameters
+from pepperscene.tuning.report import RunInfo
 from pepperscene.tuning.target import TuningTarget
 from pepperscene.tuning.whole_scene import (
     Verification,
@@ -31,6 +32,35 @@ if TYPE_CHECKING:
 MAX_ROUNDS: Final = 3
 VERIFY_FRAMES: Final = 4  # chosen: enough organs, in half a minute each time
 _CONVERGED: Final = 1.0  # chosen: CIELAB units between scene and model; a difference that is just visible
+
+
+@dataclass(frozen=True, eq=False)
+class TuningOptions:
+    """How `tune` fits a recipe and verifies the result.
+
+    Attributes:
+        bounds: A bounds file or its tables, overriding the shipped bounds.
+        hold_out: Pictures whose patches are excluded from the fit.
+        starts: Maximum number of starts.
+        seed: Seed of organs, light, noise and starts.
+        verify: Number of frames of the whole scene to render before and after; 0 for none. With frames, the
+            fit is repeated with the effect of neighbours on single organs, until it converges.
+        quality: Quality of those frames.
+        allow_code: Whether the recipe's code may run, which frames of the whole scene can need.
+        when: Date to write into the files; None for today.
+    """
+
+    bounds: str | Path | Mapping[str, Any] | None = None
+    hold_out: Sequence[str] = ()
+    starts: int = STARTS
+    seed: int = 0
+    verify: int = VERIFY_FRAMES
+    quality: str = "draft"
+    allow_code: bool = False
+    when: datetime.date | None = None
+
+
+_DEFAULT_OPTIONS: Final = TuningOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,17 +113,10 @@ def tune(
     patches: PatchSet | str | Path,
     names: Sequence[str],
     out: str | Path,
+    options: TuningOptions = _DEFAULT_OPTIONS,
     *,
-    bounds: str | Path | Mapping[str, Any] | None = None,
-    hold_out: Sequence[str] = (),
-    starts: int = STARTS,
-    seed: int = 0,
-    verify: int = VERIFY_FRAMES,
-    quality: str = "draft",
-    when: datetime.date | None = None,
-    options: Mapping[str, Any] | None = None,
     extends: str | Path | None = None,
-    allow_code: bool = False,
+    record: Mapping[str, Any] | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> TuningResult:
     """Fit parameters of a recipe to patches, and write the tuned recipe.
@@ -103,18 +126,10 @@ def tune(
         patches: Patches, or a path for `open_patches`.
         names: Names of the parameters to fit (see `known_parameters`).
         out: A new or an empty folder.
-        bounds: A bounds file or its tables, overriding the shipped bounds.
-        hold_out: Pictures whose patches are excluded from the fit.
-        starts: Maximum number of starts.
-        seed: Seed of organs, light, noise and starts.
-        verify: Number of frames of the whole scene to render before and after; 0 for none. With frames, the
-            fit is repeated with the effect of neighbours on single organs, until it converges.
-        quality: Quality of those frames.
-        when: Date to write into the files; None for today.
-        options: Options to record, serialisable as JSON.
+        options: How to fit and verify.
         extends: The file that a `Recipe` object was read from, which the written recipe extends. For a name
             or a path it is that file.
-        allow_code: Whether the recipe's code may run, which frames of the whole scene can need.
+        record: Options to write into the files, serialisable as JSON.
         on_progress: Called with a line of text from time to time.
 
     Raises:
@@ -128,28 +143,29 @@ def tune(
     source = extends if isinstance(recipe, Recipe) else recipe
     loaded = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     measured = patches if isinstance(patches, PatchSet) else open_patches(patches)
+    hold_out, verify = options.hold_out, options.verify
     fitted, held_out = (
         (measured.without(hold_out), measured.select(hold_out)) if hold_out else (measured, None)
     )
-    target = TuningTarget(loaded, fitted, bounds=bounds, seed=seed)
+    target = TuningTarget(loaded, fitted, bounds=options.bounds, seed=options.seed)
     target.parameters(names)
     check_folder(Path(out))
-    date = when or datetime.date.today()
-    write = partial(write_tuned, loaded, patches=fitted, when=date, extends=source, options=options)
-    run_fit = partial(fit_parameters, target, seed=seed, on_progress=on_progress)
+    run = RunInfo.of(fitted, options.when or datetime.date.today(), record)
+    write = partial(write_tuned, loaded, run=run, extends=source)
+    render = partial(render_statistics, frames=verify, quality=options.quality, allow_code=options.allow_code)
+    run_fit = partial(fit_parameters, target, seed=options.seed, on_progress=on_progress)
     if not verify:
-        fit = run_fit(target.problem(names), starts=starts)
+        fit = run_fit(target.problem(names), starts=options.starts)
         return TuningResult(fit, write(fit, out), None)
 
     # Measure the effect of neighbours in the whole scene, fit with it, and repeat with the tuned scene.
-    before = render_statistics(loaded, verify, quality, allow_code=allow_code)
+    before = render(loaded)
     neighbours = neighbour_effects(target, target.tuned_parts({}), before)
     for round_ in range(1, MAX_ROUNDS + 1):
         problem = target.problem(names, neighbours)
-        fit = run_fit(problem, starts=starts if round_ == 1 else 1)
+        fit = run_fit(problem, starts=options.starts if round_ == 1 else 1)
         with tempfile.TemporaryDirectory(prefix="pepperscene-") as folder:
-            tuned = load_recipe(write(fit, folder)[0])
-            after = render_statistics(tuned, verify, quality, allow_code=allow_code)
+            after = render(load_recipe(write(fit, folder)[0]))
         difference = largest_difference(problem, fit.tuned_parts, after)
         if on_progress is not None:
             on_progress(f"round {round_}: whole scene and fit differ by up to {difference:.1f} CIELAB units")

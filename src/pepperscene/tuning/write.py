@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import os
 import re
 from collections.abc import Mapping
@@ -33,7 +32,6 @@ from pepperscene.tuning.report import RunInfo, describe_colours, describe_values
 from pepperscene.units import NONE
 
 if TYPE_CHECKING:
-    from pepperscene.colour import PatchSet
     from pepperscene.tuning.least_squares import FitResult
     from pepperscene.tuning.tuned import TunedParts
 
@@ -183,11 +181,9 @@ def write_tuned(
     recipe: Recipe,
     fit: FitResult,
     out: str | Path,
+    run: RunInfo,
     *,
-    patches: PatchSet,
-    when: datetime.date,
     extends: str | Path | None = None,
-    options: Mapping[str, Any] | None = None,
     frames: BeforeAfter | None = None,
     verification: Mapping[str, Any] | None = None,
 ) -> tuple[Path, ...]:
@@ -202,11 +198,9 @@ def write_tuned(
         recipe: The recipe that was tuned.
         fit: The fit.
         out: The folder.
-        patches: The patches of the fit.
-        when: Date to write.
+        run: Patches, date and options to record, by `RunInfo.of`.
         extends: Name or path of the file that the recipe was read from; differences from it are written. None
             writes the whole recipe.
-        options: Options to record, serialisable as JSON.
         frames: The same frame of the whole scene before and after, or None.
         verification: Agreement in the whole scene, serialisable as JSON except for NaN, or None.
 
@@ -219,7 +213,6 @@ def write_tuned(
     """
     folder = Path(out)
     check_folder(folder)
-    run = RunInfo.of(patches, when, options)
     texts = _file_texts(recipe, fit, folder, extends, run)
     files = {name: text.encode() for name, text in texts.items()}
     files[PICTURE] = before_after_png(fit, recipe.name, frames)

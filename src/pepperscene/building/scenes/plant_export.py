@@ -81,13 +81,11 @@ class PlantExport:
 
 
 def export_plant(
-    cultivar: str,
+    cultivar: str | Cultivar,
     out: str | Path,
     seed: int = 0,
     *,
     detail: float = 1.0,
-    until: str | None = None,
-    share: float | None = None,
     picture: bool = True,
     quality: str = "standard",
     renderer: RendererFactory | None = None,
@@ -97,13 +95,11 @@ def export_plant(
     All files are made before the first is written, and all of them are written or none.
 
     Args:
-        cultivar: shipped name or path.
+        cultivar: shipped name or path, or a cultivar, such as a `growth_stage` between two.
         out: the mesh's file; its suffix is the format (see `geometry.mesh_files`). Its folder is made if
             missing, existing files are replaced.
         seed: of the plant.
         detail: fineness of the mesh, 1 as in frames.
-        until: a cultivar at a later growth stage; the plant is between both.
-        share: fraction of the way from the first to the second, in [0, 1]; by default 0.5.
         picture: whether to render one.
         quality: of the picture: "draft", "standard" or "reference".
         renderer: makes the renderer of a scene; None for Mitsuba.
@@ -128,7 +124,7 @@ def export_plant(
     picture_path = path.with_suffix(".png")
     check_can_write(path.parent, [path.name, picture_path.name] if picture else [path.name])
 
-    cultivar_stage = growth_stage(cultivar, until, share)
+    cultivar_stage = growth_stage(cultivar)
     parameters = draw_parameters(cultivar_stage, random_generator(seed, Stream.PLANT, 0, 0))
     size = _PROCESS + _PICTURE * picture + _PER_TRIANGLE * detail**2 * max_triangles(parameters)
     check_fits(size, f"{cultivar_stage.name}: a plant of detail {detail:g}", "use a smaller detail")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -20,29 +20,39 @@ Runs = tuple[IndexArray, IndexArray]
 """`(organs,)` index of the first item of each organ, and `(organs,)` number of its items."""
 
 
+class OrganTriangles(NamedTuple):
+    """The triangles of all organs, in runs."""
+
+    points: SingleArray  # `(3, v)` metres
+    corners: IndexArray  # `(3, f)`
+    vertex_runs: Runs
+    face_runs: Runs
+
+
+class Motions(NamedTuple):
+    """The motions of some organs."""
+
+    organ: IndexArray  # `(e,)`
+    rotation: SingleArray  # `(e, 3, 3)`
+    shift: SingleArray  # `(e, 3)` metres
+
+
+class OrganPairs(NamedTuple):
+    """Pairs of an organ that moves and one that stays."""
+
+    entry: IndexArray  # `(n,)` index of the first among the motions
+    other: IndexArray  # `(n,)` the second
+    boxes: SingleArray  # `(n, 6)` of the second, metres
+
+
 @compiled
 def count_crossings(
-    points: SingleArray,
-    corners: IndexArray,
-    vertex_runs: Runs,
-    face_runs: Runs,
-    organ: IndexArray,
-    rotation: SingleArray,
-    shift: SingleArray,
-    entry: IndexArray,
-    other: IndexArray,
-    other_boxes: SingleArray,
-    clearance: np.float32,
-    by_boxes: bool,
+    triangles: OrganTriangles, motions: Motions, pairs: OrganPairs, clearance: np.float32, by_boxes: bool
 ) -> IndexArray:
-    """The count of `CoarseTriangles.count`.
-
-    `points` `(3, v)` and `corners` `(3, f)` are the triangles of all organs, in runs; `other_boxes` `(n, 6)`
-    the boxes of the organs `other`; the rest is as there.
-    """
-    own, own_corners, own_boxes, first = _moved_triangles(
-        points, corners, vertex_runs, face_runs, organ, rotation, shift, clearance
-    )
+    """The count of `CoarseTriangles.count`."""
+    points, corners, face_runs = triangles.points, triangles.corners, triangles.face_runs
+    entry, other, other_boxes = pairs.entry, pairs.other, pairs.boxes
+    own, own_corners, own_boxes, first = _moved_triangles(triangles, motions, clearance)
     result = np.zeros(len(entry), np.intp)
     near = np.empty(len(own_boxes), np.intp)
     most = 0
@@ -95,14 +105,7 @@ def count_crossings(
 
 @compiled
 def _moved_triangles(
-    points: SingleArray,
-    corners: IndexArray,
-    vertex_runs: Runs,
-    face_runs: Runs,
-    organ: IndexArray,
-    rotation: SingleArray,
-    shift: SingleArray,
-    clearance: np.float32,
+    triangles: OrganTriangles, motions: Motions, clearance: np.float32
 ) -> tuple[SingleArray, IndexArray, SingleArray, IndexArray]:
     """Move organs.
 
@@ -110,6 +113,9 @@ def _moved_triangles(
         `(3, v)` vertices; `(3, f)` corners of triangles; `(f, 6)` their boxes, larger by the clearance; and
         `(e + 1,)` where the triangles of each organ start.
     """
+    points, corners = triangles.points, triangles.corners
+    vertex_runs, face_runs = triangles.vertex_runs, triangles.face_runs
+    organ, rotation, shift = motions.organ, motions.rotation, motions.shift
     first = np.zeros(len(organ) + 1, np.intp)
     vertices = 0
     for number in range(len(organ)):

@@ -95,20 +95,15 @@ class CoarseTriangles:
         Returns:
             `(n,)` numbers of pairs of triangles.
         """
-        from pepperscene.geometry.contacts.crossing_kernel import count_crossings
+        from pepperscene.geometry.contacts import crossing_kernel as kernel
 
         boxes = np.concatenate([self._organs.low[other], self._organs.high[other]], axis=1)
-        return count_crossings(
-            self._points,
-            self._corners,
-            (self._vertices.first, self._vertices.count),
-            (self._faces.first, self._faces.count),
-            organ,
-            rotation.astype(np.float32),
-            shift.astype(np.float32),
-            entry,
-            other,
-            boxes.astype(np.float32),
+        vertex_runs = self._vertices.first, self._vertices.count
+        face_runs = self._faces.first, self._faces.count
+        return kernel.count_crossings(
+            kernel.OrganTriangles(self._points, self._corners, vertex_runs, face_runs),
+            kernel.Motions(organ, rotation.astype(np.float32), shift.astype(np.float32)),
+            kernel.OrganPairs(entry, other, boxes.astype(np.float32)),
             np.float32(clearance),
             by_boxes,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -89,20 +89,27 @@ def patches_near_spheres(
     return hit[:found], patch[:found]
 
 
+class FruitPlaces(NamedTuple):
+    """Fruit, and where some organs are relative to them."""
+
+    fruit: IndexArray  # `(h,)`
+    matrix: SingleArray  # `(h, 3, 3)` and
+    offset: SingleArray  # `(h, 3)` metres: matrix @ point + offset is relative to the fruit's centre
+    limit: SingleArray  # `(h,)` metres from that centre; points farther away are ignored
+
+
 @compiled
 def depths_in_fruit(
     planes: SingleArray,
     cells: int,
-    fruit: IndexArray,
-    matrix: SingleArray,
-    offset: SingleArray,
-    limit: SingleArray,
+    places: FruitPlaces,
     hit: IndexArray,
     points: SingleArray,
     patch: IndexArray,
     stride: int,
 ) -> SingleArray:
     """The depths of `FruitSurfaces.patch_depths`; `planes` `(f, cells * cells, 4)` are those of all fruit."""
+    fruit, matrix, offset, limit = places
     depths = np.empty(len(patch), np.float32)
     for number in range(len(patch)):
         row, item = hit[number], patch[number]

@@ -89,7 +89,7 @@ class FruitSurfaces:
         Returns:
             `(m,)` metres, negative outside; minus infinity where all points are ignored.
         """
-        from pepperscene.geometry.contacts.depth_kernel import depths_in_fruit
+        from pepperscene.geometry.contacts.depth_kernel import FruitPlaces, depths_in_fruit
 
         # Compute the planes of those fruit that have none yet.
         rows = row[hit]
@@ -99,7 +99,8 @@ class FruitSurfaces:
             self._planes[missing] = _plane_maps(self._organs, self._fruit[missing].tolist(), centre)
             self._has_planes[missing] = True
         points = patches.coordinates
-        return depths_in_fruit(self._planes, _CELLS, row, matrix, offset, limit, hit, points, patch, stride)
+        places = FruitPlaces(row, matrix, offset, limit)
+        return depths_in_fruit(self._planes, _CELLS, places, hit, points, patch, stride)
 
 
 def _plane_maps(organs: Organs, fruit: Sequence[int], centre: SingleArray) -> SingleArray:

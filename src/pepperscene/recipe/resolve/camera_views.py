@@ -246,7 +246,7 @@ class CameraViews:
         of_scene: _SceneViews,
     ) -> RandomView:
         from pepperscene.recipe.views.free_space import FreeSpace
-        from pepperscene.recipe.views.random_views import RandomView, random_view
+        from pepperscene.recipe.views.random_views import RandomView, ViewSearch
 
         if visible is None:
             raise ValueError("random views need a test of visibility")
@@ -257,14 +257,9 @@ class CameraViews:
         rng = random_generator(setup.recipe.seed, Stream.VIEW, spec.moment)
         where = f"{self._setups.resolved.recipe.name}, frame {spec.index}"
         earlier, coarse = of_scene.earlier.get((spec.moment, table)), of_scene.coarse
-        return random_view(
-            table,
-            scene,
-            camera,
+        return ViewSearch(table, scene, camera, of_scene.space, where).find(
             rng,
             visible,
-            of_scene.space,
-            where,
             rejected=None if coarse is None else lambda pose: self._shows_coarse(spec, setup, pose, coarse),
             earlier=earlier if isinstance(earlier, RandomView) else None,
         )

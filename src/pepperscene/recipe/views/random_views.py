@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera
 from pepperscene.errors import InputError
 from pepperscene.recipe.views.free_space import FreeSpace
 from pepperscene.recipe.views.targets import Target, organ_target, point_target, target_instances
@@ -119,71 +118,6 @@ class RandomView:
     attempts: int
 
 
-def random_view(
-    settings: RandomViews,
-    scene: Scene,
-    camera: Camera,
-    rng: np.random.Generator,
-    visible: PointTest,
-    free_space: FreeSpace | None = None,
-    where: str | Path = "random view",
-    *,
-    rejected: Callable[[FloatArray], bool] | None = None,
-    earlier: RandomView | None = None,
-    attempts: int = _ATTEMPTS,
-) -> RandomView:
-    """Draw a random view of a scene.
-
-    It depends on the arguments and the generator's state alone.
-
-    Args:
-        settings: its limits.
-        scene: with all its triangles: one culled for other views lacks surfaces that this one may show.
-        camera: lens, sensor and flash; its pose does not matter.
-        rng: draws the candidates.
-        visible: `visible_points` of the scene's `Renderer`.
-        free_space: of the scene's mesh, which further views can use too; None makes it.
-        where: name of the recipe that the settings are from, for errors.
-        rejected: whether a `(4, 4)` pose shows coarse plants from near, which is a limit too.
-        earlier: a view that is kept if it is within all limits.
-        attempts: candidates after which the search ends.
-
-    Raises:
-        InputError: the scene has no such target, or no candidate is within all limits.
-    """
-    search = _Search(settings, scene, camera, free_space or FreeSpace(scene.mesh), where)
-
-    def test(candidates: _Candidates, row: int, failed: str, number: int) -> RandomView | str:
-        """The view of a candidate, or the limit that it fails."""
-        if failed:
-            return failed
-        view = search.view(candidates, row, number, visible)
-        if view.visibility < settings.least_visibility:
-            return f"showed less than least_visibility = {settings.least_visibility:g} of the target"
-        if rejected is not None and rejected(view.pose):
-            return "showed a coarse plant of the far rows from near"
-        return view
-
-    if earlier is not None:
-        candidates = search.candidate(earlier)
-        kept = test(candidates, 0, search.failed_limits(candidates)[0], earlier.attempts)
-        if isinstance(kept, RandomView):
-            return kept
-    reasons: Counter[str] = Counter()
-    first, block = 0, _BLOCKS[0]
-    while first < attempts:
-        # Always draw a whole block, so that the number of attempts does not change the views.
-        candidates = search.draw(block, rng).rows(slice(attempts - first))
-        for row, failed in enumerate(search.failed_limits(candidates)):
-            found = test(candidates, row, failed, first + row + 1)
-            if isinstance(found, RandomView):
-                return found
-            reasons[found] += 1
-        first, block = first + block, min(2 * block, _BLOCKS[1])
-    counts = ", ".join(f"{number:,} {failed}" for failed, number in reasons.most_common())
-    raise InputError(where, f"no view found in {attempts:,} attempts: {counts}")
-
-
 @dataclass(frozen=True, eq=False)
 class _Candidates:
     """Cameras that look at targets, one entry each."""
@@ -197,13 +131,30 @@ class _Candidates:
         return _Candidates(self.target[chosen], self.pose[chosen], self.is_possible[chosen])
 
 
-class _Search:
-    """Draws candidates for the views of a scene, and tests what needs no rays."""
+class ViewSearch:
+    """A search for random views of a scene within limits.
+
+    Args:
+        settings: the limits.
+        scene: with all its triangles: one culled for other views lacks surfaces that this one may show.
+        camera: lens, sensor and flash; its pose does not matter.
+        space: free space of the scene's mesh, which further views can use too; None makes it.
+        where: name of the recipe that the settings are from, for errors.
+
+    Raises:
+        InputError: the scene has no such target.
+    """
 
     def __init__(
-        self, settings: RandomViews, scene: Scene, camera: Camera, space: FreeSpace, where: str | Path
+        self,
+        settings: RandomViews,
+        scene: Scene,
+        camera: Camera,
+        space: FreeSpace | None = None,
+        where: str | Path = "random view",
     ) -> None:
-        self._settings, self._camera, self._space, self._mesh = settings, camera, space, scene.mesh
+        self._settings, self._camera, self._mesh, self._where = settings, camera, scene.mesh, where
+        self._space = space or FreeSpace(scene.mesh)
         self._targets: dict[int, Target] = {}
         if isinstance(settings.target, str):
             self._instances = target_instances(scene, settings.target, where)
@@ -211,7 +162,60 @@ class _Search:
             self._instances = np.array([-1])
             self._targets[-1] = point_target(settings.target)
 
-    def draw(self, count: int, rng: np.random.Generator) -> _Candidates:
+    def find(
+        self,
+        rng: np.random.Generator,
+        visible: PointTest,
+        *,
+        rejected: Callable[[FloatArray], bool] | None = None,
+        earlier: RandomView | None = None,
+        attempts: int = _ATTEMPTS,
+    ) -> RandomView:
+        """Draw a view, which depends on the arguments and the generator's state alone.
+
+        Args:
+            rng: draws the candidates.
+            visible: `visible_points` of the scene's `Renderer`.
+            rejected: whether a `(4, 4)` pose shows coarse plants from near, which is a limit too.
+            earlier: a view that is kept if it is within all limits.
+            attempts: candidates after which the search ends.
+
+        Raises:
+            InputError: no candidate is within all limits.
+        """
+
+        def test(candidates: _Candidates, row: int, failed: str, number: int) -> RandomView | str:
+            """The view of a candidate, or the limit that it fails."""
+            if failed:
+                return failed
+            view = self._view(candidates, row, number, visible)
+            least = self._settings.least_visibility
+            if view.visibility < least:
+                return f"showed less than least_visibility = {least:g} of the target"
+            if rejected is not None and rejected(view.pose):
+                return "showed a coarse plant of the far rows from near"
+            return view
+
+        if earlier is not None:
+            candidates = self._candidate(earlier)
+            kept = test(candidates, 0, self._failed_limits(candidates)[0], earlier.attempts)
+            if isinstance(kept, RandomView):
+                return kept
+        reasons: Counter[str] = Counter()
+        first, block = 0, _BLOCKS[0]
+        while first < attempts:
+            # Always draw a whole block, so that the number of attempts does not change the views.
+            candidates = self._draw(block, rng).rows(slice(attempts - first))
+            for row, failed in enumerate(self._failed_limits(candidates)):
+                found = test(candidates, row, failed, first + row + 1)
+                if isinstance(found, RandomView):
+                    return found
+                reasons[found] += 1
+            first, block = first + block, min(2 * block, _BLOCKS[1])
+        counts = ", ".join(f"{number:,} {failed}" for failed, number in reasons.most_common())
+        raise InputError(self._where, f"no view found in {attempts:,} attempts: {counts}")
+
+    def _draw(self, count: int, rng: np.random.Generator) -> _Candidates:
         """Draw candidates; each takes the next `_NUMBERS` random numbers, however many are drawn together."""
         limits, numbers = self._settings, rng.random((count, _NUMBERS)).T
         chosen = self._instances[(numbers[0] * len(self._instances)).astype(np.intp)]
@@ -232,12 +236,12 @@ class _Search:
         pose[:, :3, 3] = points + distance[:, None] * directions(elevation, azimuth)
         return _Candidates(target, pose, is_possible)
 
-    def candidate(self, view: RandomView) -> _Candidates:
+    def _candidate(self, view: RandomView) -> _Candidates:
         """A view as the only candidate."""
         instance = -1 if view.target_instance is None else view.target_instance
         return _Candidates([self._target(instance)], view.pose[None], np.array([True]))
 
-    def view(self, candidates: _Candidates, row: int, attempts: int, visible: PointTest) -> RandomView:
+    def _view(self, candidates: _Candidates, row: int, attempts: int, visible: PointTest) -> RandomView:
         """The view of a candidate, with what is visible of its target."""
         from pepperscene.render.visibility import visible_fraction
 
@@ -252,7 +256,7 @@ class _Search:
         )
         return RandomView(pose, target.instance, target.point, visibility, attempts)
 
-    def failed_limits(self, candidates: _Candidates) -> list[str]:
+    def _failed_limits(self, candidates: _Candidates) -> list[str]:
         """The first limit that each candidate fails, as the end of a sentence; "" for none."""
         settings, flash = self._settings, self._camera.flash
         failed = [""] * len(candidates.target)
