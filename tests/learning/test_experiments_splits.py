@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from shapes import shapes, write_shapes
+from painted_bands import bands_set, write_bands
 
 pytest.importorskip("torch")
 
@@ -15,14 +15,10 @@ from pepperscene.dataset.readers.open import PublishedSet, RenderedSet
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import FRUIT_CLASSES
 from pepperscene.learning.experiments import ExperimentOptions, run_experiments
+from pepperscene.learning.experiments.page import format_measure
 from pepperscene.learning.experiments.results import collect_result, compare_results
 from pepperscene.learning.experiments.sets import SplitSet, spread_frames
-from pepperscene.learning.experiments.splits import (
-    has_paper_numbers,
-    plant_sets,
-    real_folds,
-    split_synthetic,
-)
+from pepperscene.learning.experiments.splits import has_paper_numbers, plant_sets, real_folds, split_synthetic
 from pepperscene.learning.options import TrainingOptions
 from pepperscene.learning.training import train
 from pepperscene.recipe.plan import Plan
@@ -59,25 +55,25 @@ def test_two_sets_of_plants_or_one():
     split = split_synthetic(rendered(1, 20))
     assert [len(part) for part in (split.train, split.test, split.validation)] == [16, 2, 2]
     assert "shows one set of plants only, so that frames are split" in split.rule
-    assert "does not say which plants it shows" in split_synthetic(shapes(3)).rule
+    assert "does not say which plants it shows" in split_synthetic(bands_set(3)).rule
     with pytest.raises(InputError, match="three images or more"):
-        split_synthetic(shapes(2))
+        split_synthetic(bands_set(2))
 
 
 def test_folds_of_photographs():
-    images = shapes(7)
+    images = bands_set(7)
     first, second = real_folds(images)
     assert (first.train, first.test) == ((0, 1, 2), (3, 4, 5, 6))
     assert (second.train, second.test) == (first.test, first.train)
     with pytest.raises(InputError, match="two images with masks or more"):
-        real_folds(shapes(1))
+        real_folds(bands_set(1))
 
 
 def test_the_published_set_has_the_papers_numbers():
     synthetic, real = published("synthetic", 10_500), published("empirical", 50)
     assert has_paper_numbers(synthetic, real)
     assert not has_paper_numbers(synthetic, published("empirical", 49))
-    assert not has_paper_numbers(shapes(3), real)
+    assert not has_paper_numbers(bands_set(3), real)
     split = SplitSet(synthetic, split_synthetic(synthetic, as_paper=True))
     parts = [split.part(name).names() for name in ("train", "validation", "test")]
     assert [(part[0], part[-1], len(part)) for part in parts] == [
@@ -131,6 +127,10 @@ def test_matrices_are_added_and_differences_are_paired():
     assert mean.seeds[0] == 1
     assert mean.deviation == pytest.approx(np.std(mean.seeds, ddof=1))
     assert second.measures()[0].deviation == 0
+    measure = {"value": 0.5, "low": 0.4, "high": 0.6, "sd_over_seeds": 0.02}
+    assert format_measure(measure) == "50.0 [40.0, 60.0] ± 2.0"
+    with pytest.raises(ValueError, match="not tested on the same images"):
+        collect_result("C", {1: [evaluation([bad])], 2: [evaluation([])]})
 
     name, difference = compare_results(first, second).measures[-1]
     assert name == "mean"
@@ -138,11 +138,6 @@ def test_matrices_are_added_and_differences_are_paired():
     assert difference.low < difference.value < difference.high
     _, same = compare_results(first, first).measures[-1]
     assert (same.value, same.low, same.high) == (0, 0, 0)
-
-
-def test_seeds_must_have_the_same_images():
-    with pytest.raises(ValueError, match="not tested on the same images"):
-        collect_result("C", {1: [evaluation([[[1, 0], [0, 1]]])], 2: [evaluation([])]})
 
 
 def test_defaults_of_fine_tuning():
@@ -155,29 +150,29 @@ def test_defaults_of_fine_tuning():
         ExperimentOptions(fine_steps=0).completed()
 
 
-def test_an_unrelated_set_or_model_starts_d(tmp_path):
-    write_shapes(tmp_path / "synthetic", 4)
-    write_shapes(tmp_path / "real", 2, seed=5)
-    write_shapes(tmp_path / "other", 3, seed=7)
-    model = train([shapes(2)], tmp_path / "model", QUICK)
+@pytest.mark.parametrize(
+    ("other", "start"), [("set", "seed1_D_start"), pytest.param("model", "model", marks=pytest.mark.long)]
+)
+def test_an_unrelated_set_or_model_starts_d(tmp_path, other, start):
+    write_bands(tmp_path / "synthetic", 4)
+    write_bands(tmp_path / "real", 2, seed=5)
+    write_bands(tmp_path / "set", 3, seed=7)
+    model = train([bands_set(2)], tmp_path / "model", QUICK)
     assert model.classes.names[0] == "background"
-    options = ExperimentOptions(QUICK, seeds=1)
-    for other, kind, starts in (("other", "set", "seed1_D_start"), ("model", "model", "model")):
-        files = run_experiments(
-            [tmp_path / "synthetic"], tmp_path / "real", tmp_path / f"out_{other}", options,
-            other=tmp_path / other, labels="published",
-        )  # fmt: skip
-        assert files.content["other"]["kind"] == kind
-        found = {item["key"]: item["ran"] for item in files.content["experiments"]}
-        assert found["D"]
-        trainings = [item for item in files.content["trainings"] if item["experiment"] == "D"]
-        assert [item["start"] for item in trainings] == [starts, starts]
-        assert "E above D by" in files.page.read_text()
+    files = run_experiments(
+        [tmp_path / "synthetic"], tmp_path / "real", tmp_path / "out", ExperimentOptions(QUICK, seeds=1),
+        other=tmp_path / other, labels="published",
+    )  # fmt: skip
+    assert files.content["other"]["kind"] == other
+    assert {item["key"]: item["ran"] for item in files.content["experiments"]}["D"]
+    trainings = [item for item in files.content["trainings"] if item["experiment"] == "D"]
+    assert [item["start"] for item in trainings] == [start, start]
+    assert "E above D by" in files.page.read_text()
 
 
 def test_a_model_of_other_classes_is_rejected_before_anything_is_written(tmp_path):
-    write_shapes(tmp_path / "synthetic", 4)
-    train([shapes(2)], tmp_path / "model", TrainingOptions(**{**vars(QUICK), "classes": "leaf,stem"}))
+    write_bands(tmp_path / "synthetic", 4)
+    train([bands_set(2)], tmp_path / "model", TrainingOptions(**{**vars(QUICK), "classes": "leaf,stem"}))
     with pytest.raises(InputError, match="the model knows nothing of fruit"):
         run_experiments(
             [tmp_path / "synthetic"], tmp_path / "synthetic", tmp_path / "out",

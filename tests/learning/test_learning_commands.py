@@ -67,10 +67,8 @@ def test_evaluate_prints_tables_or_json_and_writes_files(command, photos, tmp_pa
     assert result.exit_code == 0, result.output
     assert "IoU: photos, 4 of 4 images" in result.stdout
     assert "mean        100.0 [100.0, 100.0]" in result.stdout
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        "evaluation.html",
-        "evaluation.json",
-    ]
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"evaluation.html", "evaluation.json"}
     options = ("--labels", "published", "--classes", FRUIT_CLASSES, "--limit", 2, "--json")
     result = command("evaluate", "model", photos, *options)
     content = json.loads(result.stdout)
@@ -87,9 +85,7 @@ def test_labels_apply_to_the_sets_that_need_them(command, rejects, photos, tmp_p
     assert [item["name"] for item in json.loads(result.stdout)["sets"]] == ["photos", "other"]
     assert json.loads(result.stdout)["mean_iou"]["value"] == 1
     rejects("has values", "evaluate", "model", photos)
-    rejects(
-        "--half: applies only to the published data set", "evaluate", "model", other, "--half", "empirical"
-    )
+    rejects("--half: applies only to the published", "evaluate", "model", other, "--half", "empirical")
 
 
 def test_predict_writes_class_images(command, photos, tmp_path):
@@ -97,34 +93,23 @@ def test_predict_writes_class_images(command, photos, tmp_path):
     assert result.exit_code == 0, result.output
     assert result.stdout == f"4 images predicted: {tmp_path / 'out'}\n"
     assert len(list((tmp_path / "out" / "class").iterdir())) == 4
-    result = command(
-        "predict", "model", photos / "image0.png", photos / "image1.png", "--out", tmp_path / "b"
-    )
-    assert result.stdout.startswith("2 images predicted")
 
 
 def test_rejects_wrong_input_in_one_sentence(rejects, photos, tmp_path):
-    labels = ("--labels", "published")
-    out = ("--out", tmp_path / "out")
-    rejects("weights: is not a trained model", "evaluate", "weights", photos, *labels)
-    rejects("nowhere: must be a folder of images", "evaluate", "model", "nowhere")
-    rejects("--labels: must be a table or one of", "evaluate", "model", photos, "--labels", "voc")
-    rejects(
-        "--classes: 'apple' is none of background", "evaluate", "model", photos, "--classes", "apple,leaf"
-    )
-    rejects("--classes: there must be two classes", "predict", "model", photos, *out, "--classes", "leaf")
-    without = write_set(tmp_path / "without", [None, None])
-    rejects("without: holds no image with a mask", "evaluate", "model", without)
-    void = write_set(tmp_path / "void", [np.full((5, 5), 255)])
-    rejects("void: has no labelled pixel of any of the classes", "evaluate", "model", void, *labels)
+    labels, out = ("--labels", "published"), ("--out", tmp_path / "out")
     (tmp_path / "file").write_text("")
-    rejects("file: is not a folder", "evaluate", "model", photos, *labels, "--out", tmp_path / "file")
-    rejects("photos: holds 'image0.png'", "predict", "model", photos, "--out", photos)
-    broken = photos / "image0.png"
-    broken.write_bytes(broken.read_bytes()[:100])
+    for message, *arguments in (
+        ("weights: is not a trained model", "evaluate", "weights", photos, *labels),
+        ("nowhere: must be a folder of images", "evaluate", "model", "nowhere"),
+        ("--labels: must be a table or one of", "evaluate", "model", photos, "--labels", "voc"),
+        ("'apple' is none of background", "evaluate", "model", photos, "--classes", "apple,leaf"),
+        ("--classes: there must be two classes", "predict", "model", photos, *out, "--classes", "leaf"),
+        ("file: is not a folder", "evaluate", "model", photos, *labels, "--out", tmp_path / "file"),
+        ("photos: holds 'image0.png'", "predict", "model", photos, "--out", photos),
+    ):
+        rejects(message, *arguments)
+    (photos / "image0.png").write_bytes(b"\x89PNG")
     rejects("image0.png: cannot be read as an image", "evaluate", "model", photos, *labels)
-    rejects("image0.png: cannot be read as an image", "predict", "model", photos, *out)
-    rejects("nothing.png: must be a folder of images or a picture", "predict", "model", "nothing.png", *out)
 
 
 def test_says_how_to_install_torch(monkeypatch, photos):

@@ -90,31 +90,25 @@ def test_predicts_folders_and_pictures(tmp_path):
     assert not values(tmp_path / "out" / "class" / "image0.png").any()
 
 
-def test_rejects_pictures_that_cannot_be_read(tmp_path):
-    path = write_pictures(tmp_path / "a")[0]
+def test_rejects_what_cannot_be_predicted(tmp_path):
+    path, out = write_pictures(tmp_path / "a")[0], tmp_path / "out"
+    write_pictures(tmp_path / "b")
     content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(InputError, match=r"image0.png: cannot be read as an image"):
-        predict(ReadsRed(), path, tmp_path / "out")
-    assert not (tmp_path / "out" / "classes.json").exists()
-    path.write_text("no picture")
-    with pytest.raises(InputError, match=r"image0.png: cannot be read as an image"):
-        predict(ReadsRed(), tmp_path / "a", tmp_path / "out")
-    with pytest.raises(InputError, match=r"missing.png: must be a folder of images or a picture"):
-        predict(ReadsRed(), tmp_path / "missing.png", tmp_path / "out")
-    with pytest.raises(InputError, match="images: must hold at least one image"):
-        predict(ReadsRed(), [], tmp_path / "out")
     blind = ListedImages(name="blind", items=(LabelledImage("a", None, MASKS[0]),))
-    with pytest.raises(InputError, match="blind: a has no colours"):
-        predict(ReadsRed(), blind, tmp_path / "out")
-
-
-def test_rejects_two_images_of_one_name(tmp_path):
-    for folder in ("a", "b"):
-        write_pictures(tmp_path / folder)
-    with pytest.raises(InputError, match=r"b: holds a second image with the name image0"):
-        predict(ReadsRed(), [tmp_path / "a", tmp_path / "b"], tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    for images, message in (
+        ([tmp_path / "a", tmp_path / "b"], "b: holds a second image with the name image0"),
+        (tmp_path / "missing.png", "missing.png: must be a folder of images or a picture"),
+        ([], "images: must hold at least one image"),
+        (blind, "blind: a has no colours"),
+    ):
+        with pytest.raises(InputError, match=message):
+            predict(ReadsRed(), images, out)
+    assert not out.exists()
+    for broken, source in ((content[: len(content) // 2], path), (b"no picture", tmp_path / "a")):
+        path.write_bytes(broken)
+        with pytest.raises(InputError, match=r"image0.png: cannot be read as an image"):
+            predict(ReadsRed(), source, out)
+    assert not (out / "classes.json").exists()
 
 
 def test_rejects_a_folder_of_other_files(tmp_path):

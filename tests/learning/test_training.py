@@ -65,27 +65,19 @@ def test_the_small_network_learns_eight_images_by_heart(learned):
     check_learned(load_model(learned), bands_set(8), learned)
 
 
+# From random weights the network of the paper needs more than its 5e-5.
+@pytest.mark.long
 @pytest.mark.parametrize(
-    "options",
+    ("model", "steps", "learning_rate"),
     [
-        replace(PLAIN, model="deeplab_vgg16,width=0.125", steps=80, batch=4, learning_rate=1e-3),
-        pytest.param(
-            replace(
-                PLAIN, model="deeplab_vgg16,width=0.125,field=224", steps=90, batch=4, learning_rate=1e-3
-            ),
-            marks=pytest.mark.long,
-        ),
-        # From random weights the network of the paper needs more than its 5e-5.
-        pytest.param(
-            replace(PLAIN, model="deeplab_vgg16", steps=60, batch=4, learning_rate=1e-4),
-            marks=pytest.mark.long,
-        ),
+        ("deeplab_vgg16,width=0.125", 80, 1e-3),
+        ("deeplab_vgg16,width=0.125,field=224", 90, 1e-3),
+        ("deeplab_vgg16", 60, 1e-4),
     ],
-    ids=lambda options: options.model,
 )
-def test_the_network_of_the_paper_learns_eight_images_by_heart(options, tmp_path):
-    images = bands_set(8, size=options.size)
-    check_learned(train(images, tmp_path / "model", options), images, tmp_path / "model")
+def test_the_network_of_the_paper_learns_eight_images_by_heart(model, steps, learning_rate, tmp_path):
+    options = replace(PLAIN, model=model, steps=steps, batch=4, learning_rate=learning_rate)
+    check_learned(train(bands_set(8), tmp_path / "model", options), bands_set(8), tmp_path / "model")
 
 
 def test_the_learning_rate_follows_its_schedule():
@@ -117,14 +109,12 @@ def test_training_depends_on_the_seed_alone_and_leaves_global_generators_as_they
 
 
 def test_crops_do_not_depend_on_workers(tmp_path):
-    """The same bytes with two processes, one, and none."""
+    """The same bytes with two processes and none."""
     images = open_images(write_bands(tmp_path / "set", 5))
-    options = replace(TINY, augmentation=1.0)
-    for workers in (0, 1, 2):
-        train(images, tmp_path / f"workers{workers}", replace(options, workers=workers))
+    for workers in (0, 2):
+        train(images, tmp_path / f"{workers}", replace(TINY, augmentation=1.0, workers=workers))
     for name in ("model.safetensors", "state.safetensors", LOG_FILE):
-        contents = {(tmp_path / f"workers{workers}" / name).read_bytes() for workers in (0, 1, 2)}
-        assert len(contents) == 1, name
+        assert (tmp_path / "0" / name).read_bytes() == (tmp_path / "2" / name).read_bytes(), name
 
 
 def numbered_set(count, name="numbered"):
@@ -232,21 +222,27 @@ def test_a_trained_model_does_not_need_the_file_of_its_initial_weights(tmp_path)
     train(bands_set(2), tmp_path / "next", TINY, start=tmp_path / "model")
 
 
-def test_validation_chooses_the_best_state(tmp_path, monkeypatch):
-    results = iter([0.3, 0.8, 0.8, 0.5])
-    monkeypatch.setattr("pepperscene.learning.training.loop.TrainingLoop._validate", lambda *_: next(results))
-    images, progress = bands_set(3), []
-    model = train(
-        images, tmp_path / "a", replace(TINY, steps=8), validation=images, on_progress=progress.append
-    )
-    assert (model.training["step"], model.training["validation_mean_iou"]) == (4, 0.8)
-    assert [entry["mean_iou"] for entry in log_of(tmp_path / "a")] == [0.3, 0.8, 0.8, 0.5]
+@pytest.fixture
+def validations(monkeypatch):
+    """Function that makes validations have these results."""
+
+    def install(results):
+        values = iter(results)
+        name = "pepperscene.learning.training.loop.TrainingLoop._validate"
+        monkeypatch.setattr(name, lambda *_: next(values))
+
+    return install
+
+
+def test_validation_chooses_the_best_state(tmp_path, validations):
+    images, results = bands_set(3), [0.3, 0.8, 0.8, 0.5]
     # The network of step 4 is that of a training whose last step is the fourth.
     constant = replace(TINY, steps=4, schedule="constant")
     shorter = train(images, tmp_path / "b", constant)
-    monkeypatch.setattr("pepperscene.learning.training.loop.TrainingLoop._validate", lambda *_: next(results))
-    results = iter([0.3, 0.8, 0.8, 0.5])
+    validations(results)
     longer = train(images, tmp_path / "c", replace(constant, steps=8), validation=images)
+    assert (longer.training["step"], longer.training["validation_mean_iou"]) == (4, 0.8)
+    assert [entry["mean_iou"] for entry in log_of(tmp_path / "c")] == results
     assert all((weights_of(longer)[name] == value).all() for name, value in weights_of(shorter).items())
 
 
@@ -258,9 +254,8 @@ def test_validation_chooses_the_best_state(tmp_path, monkeypatch):
         ([math.nan, math.nan, math.nan, math.nan], 8, None),
     ],
 )
-def test_unknown_validations_are_neither_better_nor_worse(results, step, best, tmp_path, monkeypatch):
-    values = iter(results)
-    monkeypatch.setattr("pepperscene.learning.training.loop.TrainingLoop._validate", lambda *_: next(values))
+def test_unknown_validations_are_neither_better_nor_worse(results, step, best, tmp_path, validations):
+    validations(results)
     images = bands_set(3)
     model = train(images, tmp_path, replace(TINY, steps=8), validation=images)
     assert (model.training["step"], model.training["validation_mean_iou"]) == (step, best)
@@ -278,9 +273,17 @@ def test_unknown_validations_are_neither_better_nor_worse(results, step, best, t
 
 
 def test_validation_is_the_mean_iou_of_an_evaluation(tmp_path):
-    images, others = bands_set(3), bands_set(4, seed=9)
+    images, others = bands_set(3, name="some"), bands_set(4, seed=9, name="other")
     options = replace(TINY, steps=2, width=64)
     model = train(images, tmp_path / "a", options, validation=others)
+    # A model states how it was trained.
+    training = json.loads(json.dumps(model.training, allow_nan=False))
+    stored = {**training["options"], "size": tuple(training["options"]["size"])}
+    assert TrainingOptions(**stored) == options.completed()
+    assert [(item["name"], item["images"]) for item in training["sets"]] == [("some", 3)]
+    assert [item["name"] for item in training["validation"]] == ["other"]
+    assert training["versions"]["torch"] == str(torch.__version__)
+    assert training["start"] is None
     expected = evaluate(model, others).measures.mean_iou.value
     # The validated network has another memory layout, in which sums are rounded differently.
     assert model.training["validation_mean_iou"] == pytest.approx(expected, abs=2e-3)
@@ -315,48 +318,30 @@ def test_log_and_progress(tmp_path):
     assert seen[-1].left_s == 0
 
 
-def test_a_model_states_how_it_was_trained(tmp_path):
-    model = train(bands_set(3, name="some"), tmp_path / "a", TINY, validation=bands_set(1, name="other"))
-    training = json.loads(json.dumps(model.training, allow_nan=False))
-    stored = {**training["options"], "size": tuple(training["options"]["size"])}
-    assert TrainingOptions(**stored) == TINY.completed()
-    assert [(item["name"], item["images"]) for item in training["sets"]] == [("some", 3)]
-    assert [item["name"] for item in training["validation"]] == ["other"]
-    assert training["versions"]["torch"] == str(torch.__version__)
-    assert training["start"] is None
-
-
 # --- errors -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"steps": 0}, "steps: must be 1 or more, not 0"),
-        ({"batch": -1}, "batch: must be 1 to 4096, not -1"),
-        ({"validate": 0}, "validate: must be 1 or more, not 0"),
-        ({"size": (16, 64)}, "size: must be two numbers of pixels, 32 to 8192, not (16, 64)"),
-        ({"width": 8}, "width: must be 32 to 8192, not 8"),
-        ({"learning_rate": 0.0}, "learning_rate: must be above 0, not 0.0"),
-        ({"learning_rate": float("nan")}, "learning_rate: must be above 0, not nan"),
-        ({"schedule": "step"}, "schedule: must be constant or cosine, not 'step'"),
-        ({"balance": 2.0}, "balance: must be 0 to 1, not 2.0"),
-        ({"balance": float("nan")}, "balance: must be 0 to 1, not nan"),
-        ({"augmentation": -0.1}, "augmentation: must be 0 to 2, not -0.1"),
-        ({"seed": -1}, "seed: must be 0 to 4294967295, not -1"),
-        ({"seed": 2**32}, "seed: must be 0 to 4294967295, not 4294967296"),
-        ({"precision": "float64"}, "precision: must be auto, float32, bfloat16, not 'float64'"),
-        ({"classes": "leaf"}, "classes: there must be two classes or more, not 1"),
-        (
-            {"model": "huge"},
-            "model: must be small, efficientnet_lite0, deeplab_vgg16 or module:factory, not 'huge'",
-        ),
-    ],
-)
-def test_rejects_options_that_are_not_allowed(tmp_path, changes, message):
-    with pytest.raises(ArgumentError) as caught:
-        train(bands_set(2), tmp_path / "out", replace(TINY, **changes))
-    assert str(caught.value) == message
+def test_rejects_options_that_are_not_allowed(tmp_path):
+    nan = float("nan")
+    for name, values, message in (
+        ("steps", (0,), "must be 1 or more"),
+        ("batch", (-1, 4097), "must be 1 to 4096"),
+        ("validate", (0,), "must be 1 or more"),
+        ("size", ((16, 64),), "must be two numbers of pixels, 32 to 8192"),
+        ("width", (8,), "must be 32 to 8192"),
+        ("learning_rate", (0.0, nan), "must be above 0"),
+        ("schedule", ("step",), "must be constant or cosine"),
+        ("balance", (2.0, nan), "must be 0 to 1"),
+        ("augmentation", (-0.1, 2.1), "must be 0 to 2"),
+        ("seed", (-1, 2**32), "must be 0 to 4294967295"),
+        ("precision", ("float64",), "must be auto, float32, bfloat16"),
+    ):
+        for value in values:
+            with pytest.raises(ArgumentError) as caught:
+                train(bands_set(2), tmp_path / "out", replace(TINY, **{name: value}))
+            assert str(caught.value) == f"{name}: {message}, not {value!r}"
+    with pytest.raises(ArgumentError, match="classes: there must be two classes or more, not 1"):
+        train(bands_set(2), tmp_path / "out", replace(TINY, classes="leaf"))
     assert not (tmp_path / "out").exists()
 
 
@@ -375,16 +360,16 @@ def test_rejects_a_learning_rate_with_which_the_loss_is_not_finite(tmp_path):
 
 def test_rejects_sets_without_images_or_pixels_of_the_classes(tmp_path):
     images, void = bands_set(2), image_set(np.full((40, 50), IGNORE_CLASS), name="void")
-    out = tmp_path / "out"
+    out, no_pixel = tmp_path / "out", "void: has no pixel of the classes background,leaf,pepper,stem"
     with pytest.raises(ArgumentError, match="sets: must hold at least one set"):
         train([], out, TINY)
-    with pytest.raises(InputError, match="toy: holds no images"):
-        train(image_set(), out, TINY)
-    with pytest.raises(InputError, match="void: has no pixel of the classes background,leaf,pepper,stem"):
-        train(void, out, TINY)
-    # Before the first step, not after hours.
-    with pytest.raises(InputError, match="void: has no pixel of the classes background,leaf,pepper,stem"):
-        train(images, out, TINY, validation=void)
-    with pytest.raises(InputError, match="toy: holds no images"):
-        train(images, out, TINY, validation=[images, image_set()])
+    # Validations before the first step, not after hours.
+    for sets, validation, message in (
+        (image_set(), (), "toy: holds no images"),
+        (void, (), no_pixel),
+        (images, void, no_pixel),
+        (images, [images, image_set()], "toy: holds no images"),
+    ):
+        with pytest.raises(InputError, match=message):
+            train(sets, out, TINY, validation=validation)
     assert not out.exists()

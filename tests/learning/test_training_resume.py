@@ -19,8 +19,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import pepperscene
+from pepperscene.atomic import sole_writer
 from pepperscene.cli import app
-from pepperscene.errors import EXIT_BAD_INPUT
+from pepperscene.errors import EXIT_BAD_INPUT, OutputError
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 safetensors = pytest.importorskip("safetensors.torch", reason="the extra `learn` installs safetensors")
@@ -129,41 +130,31 @@ def rejects(message, sets, out, *options):
 def test_every_moment_at_a_checkpoint_can_be_resumed(sets, done, copy):
     """Files appear in the order network, log, state; a kill leaves the first one or two of them."""
     complete = digests(done)
-    # A finished training stays as it is.
+    # A finished training stays as it is, also with a line that was not written to its end.
     for remaining in ((), FILES[:1], (FILES[0], FILES[2]), FILES):
         for name in set(FILES) - set(remaining):
             (copy / name).unlink(missing_ok=True)
+        if remaining == FILES:
+            with (copy / "training.jsonl").open("a") as log:
+                log.write('{"loss": 1.0, "mean')
         (copy / ".model.safetensors.some-host.1.00ff.tmp").write_bytes(b"half of a net")
         os.utime(copy / ".model.safetensors.some-host.1.00ff.tmp", (0, 0))
         result = invoke(sets, copy, *SHORT, "--resume")
         assert result.exit_code == 0, result.output
         assert digests(copy) == complete
-        shutil.copytree(done, copy, dirs_exist_ok=True)
-    # A line that was not written to its end.
-    with (copy / "training.jsonl").open("a") as log:
-        log.write('{"loss": 1.0, "mean')
-    assert invoke(sets, copy, *SHORT, "--resume").exit_code == 0
-    assert digests(copy) == complete
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (("--steps", "5"), "options.steps is 4 there and 5 here"),
-        (("--learning-rate", "0.002"), "options.learning_rate is 0.001 there and 0.002 here"),
-        (("--seed", "1"), "options.seed is 0 there and 1 here"),
-        (("--size", "48x48"), "options.size is [32, 48] there and [48, 48] here"),
-        (("--model", "small,width=0.3"), "options.balance is 0.0 there and 0.5 here"),
-        (("--augmentation", "0"), "options.augmentation is 1.0 there and 0.0 here"),
-    ],
-)
-def test_other_options_are_named(sets, copy, changes, message):
-    rejects(f"state.safetensors: holds another training: {message}", sets, copy, *SHORT, *changes, "--resume")
-
-
-def test_other_sets_are_named(sets, copy, tmp_path):
+def test_other_trainings_are_named(sets, copy, tmp_path, monkeypatch):
     resumed = (*SHORT, "--resume")
-    rejects("number of sets is 1 there and 2 here", sets, copy, *resumed, str(sets[0]))
+    for message, *changes in (
+        ("options.steps is 4 there and 5 here", "--steps", "5"),
+        ("options.learning_rate is 0.001 there and 0.002 here", "--learning-rate", "0.002"),
+        ("options.seed is 0 there and 1 here", "--seed", "1"),
+        ("options.size is [32, 48] there and [48, 48] here", "--size", "48x48"),
+        ("options.balance is 0.0 there and 0.5 here", "--model", "small,width=0.3"),
+        ("number of sets is 1 there and 2 here", str(sets[0])),
+    ):
+        rejects(f"state.safetensors: holds another training: {message}", sets, copy, *resumed, *changes)
     more = Path(shutil.copytree(sets[0], tmp_path / "some"))
     Image.new("RGB", (96, 64)).save(more / "image9.png")
     rejects("sets.0.images is 5 there and 6 here", (more, sets[1]), copy, *resumed)
@@ -171,28 +162,37 @@ def test_other_sets_are_named(sets, copy, tmp_path):
     (more / "image3_mask.png").unlink()
     rejects("sets.0.names_sha256 is", (more, sets[1]), copy, *resumed)
     rejects("validation.0.images is 2 there and 5 here", (sets[0], sets[0]), copy, *resumed)
+    with monkeypatch.context() as patch:
+        patch.setattr("pepperscene.learning.training.run.__version__", "0.0.1")
+        rejects("versions.pepperscene is '", sets, copy, *resumed)
     # Also where the state is missing because the training was killed at its first checkpoint.
     (copy / "state.safetensors").unlink()
     rejects("options.seed is 0 there and 1 here", sets, copy, *resumed, "--seed", "1")
 
 
-def test_other_versions_are_named(sets, copy, monkeypatch):
-    monkeypatch.setattr("pepperscene.learning.training.run.__version__", "0.0.1")
-    rejects("versions.pepperscene is '", sets, copy, *SHORT, "--resume")
-
-
-def test_a_folder_of_other_files_is_refused(sets, tmp_path):
+def test_folders_of_other_files_and_trainings_are_refused(sets, copy, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "notes.txt").write_text("mine")
     for options in ((), ("--resume",)):
         rejects("out: is not empty and holds no training", sets, out, *SHORT, *options)
-
-
-def test_an_existing_training_is_not_overwritten(sets, copy):
     rejects("holds a training; resume it with --resume, or choose another folder", sets, copy, *SHORT)
     (copy / "state.safetensors").unlink()
     rejects("holds a training; resume it with --resume", sets, copy, *SHORT)
+
+
+def test_a_folder_has_one_writer_at_a_time(tmp_path):
+    """Two trainings into one folder: the second is refused; a folder that stays empty is removed."""
+    pytest.importorskip("fcntl", reason="folders have no locks on this system")
+    out = tmp_path / "a" / "out"
+    with sole_writer(out):
+        assert out.is_dir()
+        with pytest.raises(OutputError, match="another process is writing to it"), sole_writer(out):
+            pytest.fail("two writers")
+    assert not (tmp_path / "a").exists()
+    with sole_writer(out):
+        (out / "file").touch()
+    assert (out / "file").exists()
 
 
 def test_damaged_states_are_refused(sets, copy):

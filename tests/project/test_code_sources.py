@@ -134,10 +134,7 @@ def test_child_interpreters_do_not_search_the_current_folder():
     # Slurm's workers are started by dask-jobqueue, and inherit PYTHONSAFEPATH from the script; `bpy_python`
     # returns the Python of Blender, whose two calls have -P.
     assert sorted(found) == ["building/execution/slurm.py", "cycles_process.py"]
-    slurm, cycles = (
-        PACKAGE / "building/execution/slurm.py",
-        ROOT / "benchmarks/cycles/cycles_process.py",
-    )
+    slurm, cycles = (PACKAGE / "building/execution/slurm.py", ROOT / "benchmarks/cycles/cycles_process.py")
     assert "export PYTHONSAFEPATH=1" in slurm.read_text(encoding="utf-8")
     assert cycles.read_text(encoding="utf-8").count('[bpy_python(), "-P", ') == 2
 

@@ -108,11 +108,7 @@ def depth_camera(step: int = 1) -> DepthCamera:
         developing=Developing(white_balance="daylight"),
     )
     return DepthCamera(
-        left,
-        0.05,
-        load_projector("realsense_d435"),
-        StereoMatching(disparities=32),
-        ExposureControl(),
+        left, 0.05, load_projector("realsense_d435"), StereoMatching(disparities=32), ExposureControl()
     )
 
 

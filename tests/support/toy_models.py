@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -74,3 +76,10 @@ class Constant:
     def probabilities(self, colour):
         values = np.array(self.values, np.float32)[:, None, None]
         return np.broadcast_to(values, (len(self.values), *colour.shape[:2]))
+
+
+def parse_page(page):
+    """The root of an HTML page, whose elements must be closed in order."""
+    assert page.startswith("<!DOCTYPE html>")
+    body = re.sub(r"<meta[^>]*>|<!DOCTYPE html>", "", page)
+    return ET.fromstring(re.sub(r"(<(?:img|br)[^>]*)>", r"\1/>", body))

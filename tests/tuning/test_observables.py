@@ -47,13 +47,13 @@ COLOURS = np.concatenate(
 )
 
 
-def finite_differences(function, at: np.ndarray, step: float) -> np.ndarray:
+def finite_differences(function, at, step):
     """`(..., 3)` central differences with respect to red, green and blue."""
     axes = np.eye(3) * step
     return np.stack([(function(at + axis) - function(at - axis)) / (2.0 * step) for axis in axes], axis=-1)
 
 
-def encode(linear: np.ndarray) -> np.ndarray:
+def encode(linear):
     """The sRGB curve of colour-science."""
     return np.asarray(colour_science().cctf_encoding(linear, function="sRGB"))
 
@@ -136,16 +136,14 @@ LOW_GAINS = (0.9, 0.5, 0.7)
 LIGHTS = {
     "dim leaf": (1.0, (400.0, 900.0, 300.0), GAINS),
     "bright fruit": (1.0, (1500.0, 3500.0, 900.0), GAINS),
-    "half the gain": (0.5, (1500.0, 3500.0, 900.0), GAINS),
     "four times the gain": (4.0, (300.0, 900.0, 250.0), GAINS),
     "gains below 1": (1.0, (1500.0, 3500.0, 2500.0), LOW_GAINS),
-    "saturated": (1.0, (20_000.0, 30_000.0, 15_000.0), GAINS),
     "saturated with gains below 1": (1.0, (20_000.0, 30_000.0, 15_000.0), LOW_GAINS),
     "full wells at half the gain": (0.5, (20_000.0, 30_000.0, 15_000.0), GAINS),
     "red alone saturated": (2.0, (12_000.0, 900.0, 500.0), GAINS),
 }
 """Sensor gain, electrons and white balance."""
-SATURATED = ("saturated", "saturated with gains below 1", "full wells at half the gain")
+SATURATED = ("saturated with gains below 1", "full wells at half the gain")
 
 
 def camera_of(gain=1.0, gains=GAINS, sensor="ueye_ui5250re", matrix=MATRIX, **steps) -> Camera:
@@ -191,7 +189,7 @@ def test_means_agree_with_the_camera(light, sensor):
         assert np.abs(deviations).max() < norm.isf(SIGNIFICANCE / comparisons / 2.0), deviations
 
 
-@pytest.mark.parametrize("fraction", [0.97, 0.99, 1.0, 1.01, 1.03])
+@pytest.mark.parametrize("fraction", [0.97, 1.0, 1.03])
 def test_means_near_saturation_agree_within_the_noise(fraction):
     """The camera clips single photosites, the model clips the resulting pixel."""
     camera = camera_of(gains=(1, 1, 1), matrix=False)
@@ -201,7 +199,7 @@ def test_means_near_saturation_agree_within_the_noise(fraction):
     assert (np.abs(difference) < 0.25 * sd).all(), difference / sd
 
 
-@pytest.mark.parametrize(("shot", "read"), [(True, True), (True, False), (False, True)])
+@pytest.mark.parametrize(("shot", "read"), [(True, False), (False, True)])
 @pytest.mark.parametrize("sensor", ["ueye_ui5250re", "nikon_d5100"])
 def test_noise_agrees_with_the_camera(sensor, shot, read):
     """In each channel; greens are means of more photosites."""
@@ -212,7 +210,7 @@ def test_noise_agrees_with_the_camera(sensor, shot, read):
     degrees = SIDE**2 - 1
     taken, model = photograph(camera, electrons), modelled(camera, electrons, **kinds)
     ratio = degrees * taken.var(axis=0, ddof=1) / model.var(axis=0)
-    tail = SIGNIFICANCE / (6 * 3) / 2.0
+    tail = SIGNIFICANCE / (4 * 3) / 2.0
     assert ((ratio > chi2.ppf(tail, degrees)) & (ratio < chi2.isf(tail, degrees))).all(), ratio / degrees
 
 
@@ -238,7 +236,7 @@ def test_exposure_scales_gain_or_time():
 
 @pytest.mark.parametrize("pedestal", [0.0, 0.02])
 @pytest.mark.parametrize("scales_time", [False, True])
-@pytest.mark.parametrize("exposure", [0.6, 1.0, 1.7])
+@pytest.mark.parametrize("exposure", [0.6, 1.7])
 def test_slopes_of_the_sensor_model_match_finite_differences(exposure, scales_time, pedestal):
     """With respect to electrons, in random directions, where a step crosses no limit."""
     rng = np.random.default_rng(5)
@@ -263,9 +261,8 @@ def test_slopes_of_the_sensor_model_match_finite_differences(exposure, scales_ti
 
 def test_standard_errors_of_a_view_are_those_of_camera_images():
     """Images of the same light, by the camera's steps down to 8-bit codes."""
-    target = TuningTarget(
-        load_recipe("barth2018"), no_patches(["leaf"]), organs=1, pixels=24, quality=FEW_SAMPLES
-    )
+    patches = no_patches(["leaf"])
+    target = TuningTarget(load_recipe("barth2018"), patches, organs=1, pixels=24, quality=FEW_SAMPLES)
     (model,) = target.view_models
     parts, camera, mask = target.tuned_parts({}), model.view.camera, model.view.mask
     electrons = np.zeros((camera.height, camera.width, 3))

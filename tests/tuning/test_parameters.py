@@ -94,11 +94,7 @@ def test_parameters_have_groups_and_the_order_of_their_names():
     parameters = select(names)
     assert [one.name for one in parameters] == names
     assert [one.group for one in parameters] == ["cuticle", "exposure", "light", "camera", "pigments"]
-
-
-def test_state_of_fruit_is_an_alias_of_ripeness():
-    (parameter,) = select(["fruit.state"])
-    assert parameter.name == "fruit.ripeness"
+    assert [one.name for one in select(["fruit.state"])] == ["fruit.ripeness"]
 
 
 @pytest.mark.parametrize(
@@ -108,6 +104,7 @@ def test_state_of_fruit_is_an_alias_of_ripeness():
         (["leaf.chlorophil"], "no parameter 'leaf.chlorophil'; closest are leaf.chlorophyll"),
         (["leaf"], "no parameter 'leaf'"),
         ([""], "no parameter ''"),
+        (["nothing"], "no parameter 'nothing'"),
         (["exposur"], "closest are exposure"),
         (["leaf.flesh"], "no parameter 'leaf.flesh'"),
         (["petal.brown"], "petal.brown cannot be fitted, because plants of Kaite show no petal"),
@@ -123,14 +120,9 @@ def test_raises_on_names_that_cannot_be_fitted(names, message):
     assert message in str(error.value)
     assert str(error.value).startswith("names: ")
     assert "\n" not in str(error.value)
-
-
-def test_error_on_an_unknown_name_lists_all_names():
-    with pytest.raises(ArgumentError) as error:
-        select(["nothing"])
-    for name in known_parameters(KAITE, CAMERA):
-        for word in name.split("."):
-            assert word in str(error.value)
+    if names == ["nothing"]:
+        words = {word for name in known_parameters(KAITE, CAMERA) for word in name.split(".")}
+        assert all(word in str(error.value) for word in words)
 
 
 def test_flash_cannot_be_fitted_without_one():
@@ -148,7 +140,7 @@ def test_colours_cannot_be_fitted_for_a_monochrome_sensor():
         select(["white_balance"], camera=mono)
 
 
-@pytest.mark.parametrize("name", ["kaite", "tomato", "kaite_september"])
+@pytest.mark.parametrize("name", ["kaite", "tomato"])
 def test_state_distribution_is_that_of_organs_with_equal_weights_of_kinds(name):
     cultivar = load_cultivar(name)
     rng = np.random.default_rng(5)
@@ -177,8 +169,6 @@ def test_state_distribution_of_fruit_is_the_mixture_of_its_stages():
     assert distribution.mean == pytest.approx(states.mean(), abs=0.01)
     assert distribution.sd == pytest.approx(states.std(), abs=0.01)
     assert distribution.mean_ripeness == pytest.approx(0.96)
-
-
-def test_surface_that_no_organ_has_has_no_distribution():
+    # A surface that no organ has has none.
     assert state_distribution(KAITE, "petal") is None
     assert "petal" not in visible_surfaces(KAITE)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from simulated_fits import all_parameters
 
@@ -23,7 +23,10 @@ from pepperscene.tuning.pigment_paths import (
 )
 from pepperscene.tuning.tuned import OFF_DIAGONAL, densify_cultivar, densify_path, tuned_parts
 
-CULTIVARS = ("kaite", "red_blocky", "orange_pointed", "tomato", "kaite_september", "kaite_february")
+FURTHER = ("red_blocky", "orange_pointed", "kaite_february")
+CULTIVARS = [
+    "kaite", "tomato", "kaite_september", *(pytest.param(name, marks=pytest.mark.long) for name in FURTHER),
+]  # fmt: skip
 NODES = np.linspace(400.0, 710.0, 8)
 NM = np.arange(400.0, 761.0, 20.0)
 STATES = np.linspace(0.0, 1.0, 41)
@@ -49,13 +52,8 @@ def path_at(name, value):
 
 def numbers_of(parts):
     """All numbers of a recipe's parts, by name."""
-    numbers = {
-        "power": parts.flash_power,
-        "factors": parts.flash_factors,
-        "exposure": parts.exposure,
-        "gains": parts.gains,
-        "matrix": parts.matrix,
-    }
+    names = ("flash_power", "flash_factors", "exposure", "gains", "matrix")
+    numbers = {name: getattr(parts, name) for name in names}
     for surface, path in parts.pigments.items():
         numbers |= path_values(surface, path)
     return {name: np.asarray(value) for name, value in numbers.items()}
@@ -80,31 +78,23 @@ def test_default_values_change_nothing(name):
     cultivar = load_cultivar(name)
     dense = densify_cultivar(cultivar)
     parameters = all_parameters(RECIPE, cultivar, CAMERA)
-    # Everything that can be combined, from the cultivar as it is and from the dense one.
+    # Everything that can be combined, from the cultivar as it is and from the dense one; and nothing.
     paths = {n: p.default for n, p in parameters.items() if not {"unripe", "ripe"} & set(n.split("."))}
     ends = {
         n: p.default
         for n, p in parameters.items()
         if n.rpartition(".")[2] not in CONTENT_FIELDS or n not in paths
     }
-    for values in (paths, ends):
-        for start in (cultivar, dense):
-            parts = parts_at(values, start)
-            assert set(parts.pigments) == set(visible_surfaces(cultivar))
-            for surface, path in parts.pigments.items():
-                expected = path_values(surface, dense.pigments[surface])
-                for key, value in path_values(surface, path).items():
-                    np.testing.assert_allclose(value, expected[key], rtol=1e-12, atol=1e-15, err_msg=key)
-                assert path.source == cultivar.pigments[surface].source
-            np.testing.assert_array_equal(parts.flash_factors, np.ones(8))
-            assert parts.flash_power == parts.exposure == 1.0
-
-
-def test_no_values_change_nothing():
-    parts = parts_at({})
-    assert not parts.pigments
-    assert parts.flash_power == parts.exposure == 1.0
-    np.testing.assert_array_equal(parts.flash_factors, 1.0)
+    for values, start in ((paths, cultivar), (paths, dense), (ends, cultivar), (ends, dense), ({}, dense)):
+        parts = parts_at(values, start)
+        assert set(parts.pigments) == (set(visible_surfaces(cultivar)) if values else set())
+        for surface, path in parts.pigments.items():
+            expected = path_values(surface, dense.pigments[surface])
+            for key, value in path_values(surface, path).items():
+                np.testing.assert_allclose(value, expected[key], rtol=1e-12, atol=1e-15, err_msg=key)
+            assert path.source == cultivar.pigments[surface].source
+        np.testing.assert_array_equal(parts.flash_factors, np.ones(8))
+        assert parts.flash_power == parts.exposure == 1.0
 
 
 def changed_value(name):
@@ -150,11 +140,8 @@ def test_value_is_applied_and_nothing_else_changes(name):
 
 def test_all_knots_scale_with_the_maximum():
     path = path_at("fruit.chlorophyll", 2 * PARAMETERS["fruit.chlorophyll"].default[0])
-    np.testing.assert_allclose(
-        path.at(STATES)["chlorophyll_ug_cm2"],
-        2 * DENSE["fruit"].at(STATES)["chlorophyll_ug_cm2"],
-        rtol=1e-12,
-    )
+    found, before = (one.at(STATES)["chlorophyll_ug_cm2"] for one in (path, DENSE["fruit"]))
+    np.testing.assert_allclose(found, 2 * before, rtol=1e-12)
     # For the structure parameter N, what exceeds one plate is scaled.
     path = path_at("leaf.structure", 1.0 + 1.5 * 0.75)
     expected = 1.5 * (DENSE["leaf"].at(STATES)["structure_n"] - 1.0)
@@ -163,21 +150,19 @@ def test_all_knots_scale_with_the_maximum():
 
 def test_absent_contents_are_added_evenly_and_capsanthin_with_ripeness():
     assert np.ptp(path_at("leaf.brown", 0.3).at(STATES)["brown"]) == pytest.approx(0.0)
-    np.testing.assert_allclose(
-        path_at("fruit.capsanthin", 20.0).at(STATES)["capsanthin_ug_cm2"], 20.0 * STATES, rtol=1e-12
-    )
+    capsanthin = path_at("fruit.capsanthin", 20.0).at(STATES)["capsanthin_ug_cm2"]
+    np.testing.assert_allclose(capsanthin, 20.0 * STATES, rtol=1e-12)
     assert np.ptp(path_at("leaf.capsanthin", 3.0).at(STATES)["capsanthin_ug_cm2"]) == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize("content", sorted(CONTENT_FIELDS))
-def test_both_ends_can_be_empty_and_no_content_is_negative(content):
-    field = CONTENT_FIELDS[content][0]
-    floor = RANGES[field][0]
-    for surface in visible_surfaces(KAITE):
-        values = {f"{surface}.{end}.{content}": [floor] for end in ("unripe", "ripe")}
-        contents = parts_at(values).pigments[surface].at(STATES)[field]
-        assert contents[[0, -1]] == pytest.approx(floor, abs=1e-12)
-        assert contents.min() >= floor
+def test_both_ends_can_be_empty_and_no_content_is_negative():
+    for content, (field, *_) in CONTENT_FIELDS.items():
+        floor = RANGES[field][0]
+        for surface in visible_surfaces(KAITE):
+            values = {f"{surface}.{end}.{content}": [floor] for end in ("unripe", "ripe")}
+            contents = parts_at(values).pigments[surface].at(STATES)[field]
+            assert contents[[0, -1]] == pytest.approx(floor, abs=1e-12)
+            assert contents.min() >= floor
 
 
 def smoothing_error(path, field):
@@ -229,7 +214,6 @@ def test_order_of_values_does_not_matter():
         np.testing.assert_array_equal(first[name], second[name])
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_values_within_bounds_give_valid_contents(seed):
     rng = np.random.default_rng(seed)
@@ -254,10 +238,16 @@ def one_sided_slopes(name, entry, value, step):
     return (above - here) / step, (here - below) / step
 
 
-SMOOTH = [name for name in PARAMETERS if name.partition(".")[0] not in ("petiole", "peduncle", "calyx")]
+SMOOTH = [
+    pytest.param(name, marks=pytest.mark.long) if name.startswith(("stem", "dry_shoot")) else name
+    for name in PARAMETERS
+    if not name.startswith(("petiole", "peduncle", "calyx"))
+]
 
 
-@pytest.mark.parametrize("position", ["default", 0.21, pytest.param(0.83, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "position", ["default", *(pytest.param(position, marks=pytest.mark.long) for position in (0.21, 0.83))]
+)
 @pytest.mark.parametrize("name", SMOOTH)
 def test_parts_have_no_kinks(name, position):
     """The slopes to either side converge as the step shrinks."""
