@@ -6,7 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from toy_models import ORGANS, Constant, ListedImages, ReadsRed, image_set, random_masks
+from memory_set import MemorySet
+from toy_models import ORGANS, Constant, ReadsRed, image_set, random_masks
 
 from pepperscene.classes import IGNORE_CLASS
 from pepperscene.dataset.readers.image_set import LabelledImage
@@ -134,7 +135,7 @@ def test_tables_state_measures_and_confusion():
 
 def test_rejects_what_cannot_be_evaluated():
     model, images = ReadsRed(), image_set(*MASKS)
-    blind = ListedImages(name="blind", items=(LabelledImage("a", None, MASKS[0]),))
+    blind = MemorySet(name="blind", items=(LabelledImage("a", None, MASKS[0]),))
     void, black = image_set(np.full((3, 4), IGNORE_CLASS)), image_set(np.zeros((3, 4)))
     parse = ClassTable.parse
     for error, message, arguments in (

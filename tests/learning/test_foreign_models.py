@@ -95,8 +95,10 @@ def test_a_model_file_names_models_of_this_package_only(folder, sets):
     ):
         result = run(*words)
         assert is_one_sentence(result), (words, result.output)
-        assert "model.safetensors: model = 'evil_net:make': is none of small, " in result.stderr
-        assert "a network of your own needs --factory module:name and --allow-code" in result.stderr
+        assert "model.safetensors: " in result.stderr
+    message = run("predict", ".", "photo.png", "--out", "out").stderr
+    assert "model.safetensors: model = 'evil_net:make': is none of small, " in message
+    assert "a network of your own needs --factory module:name and --allow-code" in message
     for words in (
         ("predict", ".", "photo.png", "--out", "out", "--factory", "evil_net:make"),
         ("experiments", sets, "--real", sets, "--out", "out", "--model", "evil_net:make"),

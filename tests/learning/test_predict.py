@@ -6,8 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from memory_set import MemorySet
 from PIL import Image
-from toy_models import ORGANS, Constant, ListedImages, ReadsRed, image_set, random_masks
+from toy_models import ORGANS, Constant, ReadsRed, image_set, random_masks
 
 from pepperscene.classes import CLASS_COLOURS
 from pepperscene.dataset.readers import open_images
@@ -94,7 +95,7 @@ def test_rejects_what_cannot_be_predicted(tmp_path):
     path, out = write_pictures(tmp_path / "a")[0], tmp_path / "out"
     write_pictures(tmp_path / "b")
     content = path.read_bytes()
-    blind = ListedImages(name="blind", items=(LabelledImage("a", None, MASKS[0]),))
+    blind = MemorySet(name="blind", items=(LabelledImage("a", None, MASKS[0]),))
     for images, message in (
         ([tmp_path / "a", tmp_path / "b"], "b: holds a second image with the name image0"),
         (tmp_path / "missing.png", "missing.png: must be a folder of images or a picture"),

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from memory_set import MemorySet
 from painted_bands import CLASSES, SIZE, bands_set, write_bands
-from toy_models import ListedImages, image_set
+from toy_models import image_set
 
 from pepperscene.classes import IGNORE_CLASS
 from pepperscene.dataset.readers import open_images
@@ -123,7 +124,7 @@ def numbered_set(count, name="numbered"):
         LabelledImage(f"{k}", np.full((40, 50, 3), k, np.uint8), np.ones((40, 50), np.uint8))
         for k in range(count)
     ]
-    return ListedImages(name=name, items=tuple(images))
+    return MemorySet(name=name, items=tuple(images))
 
 
 def test_every_image_occurs_once_in_each_epoch():

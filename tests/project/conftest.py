@@ -16,10 +16,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel of this checkout, built without a network."""
     folder = tmp_path_factory.mktemp("wheel")
     command = (
-        sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-index",
-        "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT),
+        sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder),
     )  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     (file,) = folder.glob("pepperscene-*.whl")
     return file

@@ -18,23 +18,13 @@ ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-def test_notebooks_exist() -> None:
-    assert NOTEBOOKS
-
-
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
-def test_notebook_has_no_outputs(notebook: Path) -> None:
-    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
-        if cell["cell_type"] == "code":
-            assert not cell["outputs"]
-            assert cell["execution_count"] is None
-
-
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
-def test_notebook_uses_names_that_exist(notebook: Path) -> None:
+def test_notebook_has_no_outputs_and_uses_names_that_exist(notebook: Path) -> None:
     cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
-    program = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    for node in ast.walk(ast.parse(program)):
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert code
+    assert all(not cell["outputs"] and cell["execution_count"] is None for cell in code)
+    for node in ast.walk(ast.parse("\n".join("".join(cell["source"]) for cell in code))):
         if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("ps", "pepperscene"):
             assert hasattr(pepperscene, node.attr), node.attr
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pepperscene"):

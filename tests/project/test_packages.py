@@ -10,18 +10,12 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from graphlib import CycleError, TopologicalSorter
-from pathlib import Path
 
 import pytest
+from source_trees import PACKAGE, SOURCES, name_of, nodes, tree
 
-import pepperscene
-
-PACKAGE = Path(pepperscene.__file__).parent
 MODULES = {
-    ".".join(("pepperscene", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
-        ".__init__"
-    ): path
-    for path in sorted(PACKAGE.rglob("*.py"))
+    f"pepperscene.{name_of(path)[:-3].replace('/', '.')}".removesuffix(".__init__"): path for path in SOURCES
 }
 PUBLIC_PACKAGES = [
     "pepperscene",
@@ -31,18 +25,9 @@ SUB_PACKAGES = [
     name for name, path in MODULES.items() if path.name == "__init__.py" and name != "pepperscene"
 ]
 HEAVY = {
-    "mitsuba",
-    "drjit",
-    "colour",
-    "torch",
-    "scipy",
-    "skimage",
-    "trimesh",
-    "pyoidn",
-    "OpenEXR",
-    "matplotlib",
+    "mitsuba", "drjit", "colour", "torch", "scipy", "skimage", "trimesh", "pyoidn", "OpenEXR", "matplotlib",
     "tomlkit",
-}
+}  # fmt: skip
 MOST_LINES = 400
 LAZY = {name for name, path in MODULES.items() if path.with_suffix(".pyi").is_file()}
 """Packages whose names are listed in a stub and loaded on first use."""
@@ -53,84 +38,71 @@ def _sort_key(name: str) -> tuple[int, str]:
     return (0 if name.isupper() else 1 if name[0].isupper() else 2), name
 
 
-def _tree(module: str) -> ast.Module:
-    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
-
-
 @pytest.mark.parametrize("package", PUBLIC_PACKAGES)
-def test_public_names_are_sorted_and_documented(package: str) -> None:
+def test_public_names_are_sorted_documented_and_no_modules(package: str) -> None:
     module = importlib.import_module(package)
     # lazy_loader sorts the names of a stub by character.
     key = None if package in LAZY else _sort_key
     names = getattr(module, "__all__", ())
     assert list(names) == sorted(set(names), key=key)
+    # `package.name` would be the function or the module, depending on what was imported first.
+    modules = {name.rpartition(".")[2] for name in MODULES if name.rpartition(".")[0] == package}
     for name in names:
         value = getattr(module, name)
+        assert name not in modules or inspect.ismodule(value), name
         if inspect.isclass(value) or inspect.isfunction(value):
             assert inspect.getdoc(value), f"{package}.{name} has no docstring"
 
 
-@pytest.mark.parametrize("package", PUBLIC_PACKAGES)
-def test_no_public_function_has_the_name_of_a_module(package: str) -> None:
-    # Otherwise `package.name` would be the function or the module, depending on what was imported first.
-    module = importlib.import_module(package)
-    modules = {name.rpartition(".")[2] for name in MODULES if name.rpartition(".")[0] == package}
-    names = getattr(module, "__all__", ())
-    assert not modules & {name for name in names if not inspect.ismodule(getattr(module, name))}
-
-
 def _re_exports(package: str) -> Iterator[tuple[str, ast.alias]]:
     """The module and the name of each re-export of a package."""
-    stub = MODULES[package].with_suffix(".pyi")
-    tree = ast.parse(stub.read_text(encoding="utf-8")) if package in LAZY else _tree(package)
-    for node in tree.body:
+    path = MODULES[package].with_suffix(".pyi" if package in LAZY else ".py")
+    for node in tree(path).body:
         if isinstance(node, ast.ImportFrom):
             source = f"{package}.{node.module}" if node.level == 1 else str(node.module)
             yield from ((source, alias) for alias in node.names)
 
 
-@pytest.mark.parametrize("package", sorted(LAZY - {"pepperscene"}))
-def test_names_of_stubs_are_loaded_on_first_use(package: str) -> None:
-    statements = [ast.unparse(statement) for statement in _tree(package).body[1:]]
-    assert statements == [
-        "import lazy_loader",
-        "__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)",
-    ]
-    stub = ast.parse(MODULES[package].with_suffix(".pyi").read_text(encoding="utf-8"))
-    for statement in stub.body:
-        assert isinstance(statement, ast.ImportFrom)
-        assert statement.level == 1
-        assert all(alias.asname == alias.name for alias in statement.names)
+def test_names_of_stubs_are_loaded_on_first_use() -> None:
+    for package in LAZY - {"pepperscene"}:
+        assert [ast.unparse(statement) for statement in tree(MODULES[package]).body[1:]] == [
+            "import lazy_loader",
+            "__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)",
+        ]
+        for statement in tree(MODULES[package].with_suffix(".pyi")).body:
+            assert isinstance(statement, ast.ImportFrom)
+            assert statement.level == 1
+            assert all(alias.asname == alias.name for alias in statement.names)
 
 
-@pytest.mark.parametrize("package", sorted(set(SUB_PACKAGES) - LAZY))
-def test_init_modules_only_re_export(package: str) -> None:
-    docstring, *statements = _tree(package).body
-    assert isinstance(docstring, ast.Expr)
-    assert isinstance(docstring.value, ast.Constant)
-    for statement in statements:
-        is_all = isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__"
-        assert is_all or isinstance(statement, ast.ImportFrom), ast.unparse(statement)
+def test_init_modules_only_re_export() -> None:
+    for package in set(SUB_PACKAGES) - LAZY:
+        docstring, *statements = tree(MODULES[package]).body
+        assert isinstance(docstring, ast.Expr)
+        assert isinstance(docstring.value, ast.Constant)
+        for statement in statements:
+            is_all = isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__"
+            assert is_all or isinstance(statement, ast.ImportFrom), f"{package}: {ast.unparse(statement)}"
 
 
 def test_public_class_names_are_unique() -> None:
     names = Counter(
         node.name
         for module in MODULES
-        for node in _tree(module).body
+        for node in tree(MODULES[module]).body
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
     assert [name for name, count in names.items() if count > 1] == []
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_module_is_short(module: str) -> None:
-    assert len(MODULES[module].read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+def test_modules_are_short() -> None:
+    lines = {name_of(path): len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES}
+    assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}
 
 
 def _imported_modules(module: str, exported: dict[tuple[str, str], tuple[str, str]]) -> Iterator[str]:
     """Modules that a module imports from, anywhere in the file; re-exports count as the defining module."""
-    for node in ast.walk(_tree(module)):
+    for node in nodes(MODULES[module]):
         if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("pepperscene"):
             continue
         for alias in node.names:
@@ -166,19 +138,14 @@ def test_no_imports_are_circular(unit: Callable[[str], str]) -> None:
         pytest.fail(" -> ".join(error.args[1]))
 
 
-def test_worker_processes_import_only_what_they_need() -> None:
+def test_processes_import_only_what_they_need() -> None:
+    """The package alone no heavy library, and workers no package that they do not need."""
     others = ("export", "review", "building.execution", "dataset.readers")
     code = (
-        "import sys; from pepperscene.building.scenes import plants; "
+        f"import sys, pepperscene; print(sorted({HEAVY!r} & set(sys.modules))); "
+        "from pepperscene.building.scenes import plants; "
         f"print([name for name in {others!r} if f'pepperscene.{{name}}' in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "[]"
-
-
-def test_importing_the_package_loads_no_heavy_library() -> None:
-    code = f"import sys, pepperscene; print(sorted({HEAVY!r} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.split("\n") == ["[]", "[]", ""]

@@ -15,17 +15,15 @@ PAGE = ROOT / "docs" / "explanation" / "realism.md"
 
 
 @pytest.fixture(scope="module")
-def targets():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FIGURES))
-        yield importlib.import_module("realism_targets")
-
-
-@pytest.fixture(scope="module")
-def script(targets):
+def script():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(FIGURES))
         yield importlib.import_module("realism")
+
+
+@pytest.fixture(scope="module")
+def targets(script):
+    return importlib.import_module("realism_targets")
 
 
 @pytest.fixture(scope="module")

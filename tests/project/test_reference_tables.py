@@ -177,9 +177,7 @@ def page_with_tables(text: str) -> str:
         following = re.search(r"^##", text[start.end() :], re.MULTILINE)
         end = start.end() + following.start() if following else len(text)
         section = text[start.end() : end]
-        place = list(re.finditer(r"^\| key[^\n]*\n\|---\|---\|---\|\n((?:\|.*\n)+)", section, re.MULTILINE))[
-            -1
-        ]
+        place = list(_TABLE.finditer(section))[-1]
         section = section[: place.start(1)] + "\n".join(rows(table)) + "\n" + section[place.end(1) :]
         text = text[: start.end()] + section + text[end:]
     return text

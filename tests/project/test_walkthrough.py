@@ -9,9 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pepperscene
+import pytest
+from source_trees import PACKAGE
 
-PACKAGE = Path(pepperscene.__file__).parent
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "architecture.md"
 ROW = re.compile(r"^\| (\d+) \| `(\w+)` \| `([\w/]+\.py)` \| .+ \|$", re.MULTILINE)
 
@@ -53,6 +53,7 @@ def test_modules_and_names_of_the_architecture_page_exist() -> None:
             assert re.search(rf"^ *(class |def )?{name}\b", source, re.MULTILINE), f"{name} in {module}"
 
 
+@pytest.mark.long
 def test_a_build_makes_the_calls_of_the_architecture_page(tmp_path: Path) -> None:
     rows = ROW.findall(PAGE.read_text(encoding="utf-8"))
     assert [int(number) for number, _, _ in rows] == list(range(1, len(rows) + 1))

@@ -47,13 +47,13 @@ def measured_camera(name: str) -> Sensor:
     return replace(load_sensor("ueye_ui5250re"), name=name, quantum_efficiency=efficiency)
 
 
-def observer_lab(spd: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
-    """`(m, 3)` Lab of reflectances `(m, n)` under a light `(n,)`, adapted to D65 by Bradford's transform."""
+def observer_lab(spd: np.ndarray, reflectance: np.ndarray, transform: str = "Bradford") -> np.ndarray:
+    """`(m, 3)` Lab of reflectances `(m, n)` under a light `(n,)`, adapted to D65."""
     observer = colour.MSDS_CMFS[OBSERVER].copy().align(colour.SpectralShape(380, 780, 1))
     weight = spd[:, None] * observer.values
     xyz, white, d65 = reflectance @ weight, weight.sum(0), colour.xy_to_XYZ(D65)
     adapted = colour.chromatic_adaptation(
-        xyz / white[1], white / white[1], d65, method="Von Kries", transform="Bradford"
+        xyz / white[1], white / white[1], d65, method="Von Kries", transform=transform
     )
     return np.asarray(colour.XYZ_to_Lab(adapted, D65))
 

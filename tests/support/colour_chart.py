@@ -5,12 +5,14 @@ The chart is BabelColor's average of 30; the camera's colour matrix was fitted t
 
 from __future__ import annotations
 
+import camera_colours
 import colour
 import numpy as np
+from camera_colours import D65, NM, OBSERVER, delta_e, lab_of_rgb
 
-NM = np.arange(380.0, 781.0)
-OBSERVER = "CIE 1931 2 Degree Standard Observer"
-D65 = colour.CCS_ILLUMINANTS[OBSERVER]["D65"]
+__all__ = ["D65", "NM", "OBSERVER", "chart", "difference", "lab_of_rgb", "observer_lab"]
+
+difference = delta_e
 
 
 def chart() -> np.ndarray:
@@ -21,20 +23,4 @@ def chart() -> np.ndarray:
 
 def observer_lab(spd: np.ndarray) -> np.ndarray:
     """`(24, 3)` Lab of the chart under a light `(n,)`, adapted to D65 by CAT02 (the camera uses Bradford)."""
-    observer = colour.MSDS_CMFS[OBSERVER].copy().align(colour.SpectralShape(380, 780, 1))
-    weight = spd[:, None] * observer.values
-    xyz, white, d65 = chart() @ weight, weight.sum(0), colour.xy_to_XYZ(D65)
-    adapted = colour.chromatic_adaptation(
-        xyz / white[1], white / white[1], d65, method="Von Kries", transform="CAT02"
-    )
-    return colour.XYZ_to_Lab(adapted, D65)
-
-
-def lab_of_rgb(rgb: np.ndarray) -> np.ndarray:
-    """`(..., 3)` Lab of linear sRGB."""
-    return colour.XYZ_to_Lab(colour.RGB_to_XYZ(rgb, "sRGB", apply_cctf_decoding=False), D65)
-
-
-def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """CIEDE2000 colour differences."""
-    return colour.delta_E(a, b, method="CIE 2000")
+    return camera_colours.observer_lab(spd, chart(), "CAT02")

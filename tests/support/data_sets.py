@@ -63,7 +63,9 @@ def remove_plants(monkeypatch):
     monkeypatch.setattr(FrameRenderer, "assemble", lambda *_args, **_kwargs: AssembledScene(scene, {}))
 
 
-def set_without_plants(folder, frames, outputs, renderer=StandIn, changes=None, on_notice=None):
+def set_without_plants(
+    folder, frames, outputs, renderer=StandIn, changes=None, on_notice=None, recipe="barth2018"
+):
     """Build frames of two sets, three rotations and four steps of a scene that holds one rectangle."""
     changes = {
         "plan.sets": 2, "plan.rotations": 3, "plan.frames": 4, "row.plants_front": 1, "row.plants_back": 0,
@@ -71,9 +73,9 @@ def set_without_plants(folder, frames, outputs, renderer=StandIn, changes=None, 
     }  # fmt: skip
     with pytest.MonkeyPatch.context() as monkeypatch:
         remove_plants(monkeypatch)
-        recipe = load_recipe("barth2018", changes)
+        recipe = load_recipe(recipe, changes)
         options = BuildOptions(renderer=renderer, on_notice=on_notice)
-        return build(recipe, folder, list(frames), outputs, options).dataset
+        return build(recipe, folder, frames and list(frames), outputs, options).dataset
 
 
 class HarvestRenderer(StandIn):

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 import colorsys
-from dataclasses import dataclass
 
 import numpy as np
+from memory_set import MemorySet
 
 from pepperscene.classes import OrganClass
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MemorySet(ImageSet):
-    """Pictures that are in memory already."""
-
-    def names(self):
-        return tuple(item.name for item in self.items)
-
-    def read(self, item):
-        return item
+from pepperscene.dataset.readers.image_set import LabelledImage
 
 
 def image_set(*pictures, name="memory"):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from memory_set import MemorySet
 from PIL import Image
-from toy_models import ListedImages
 
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import LabelledImage
@@ -36,7 +36,7 @@ def paint_bands(count, seed=0, size=SIZE):
 
 def bands_set(count, seed=0, size=SIZE, name="bands"):
     """A set in memory."""
-    return ListedImages(name=name, items=tuple(paint_bands(count, seed, size)))
+    return MemorySet(name=name, items=tuple(paint_bands(count, seed, size)))
 
 
 def write_bands(folder, count, seed=0, size=SIZE, masks=True):

@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
+import data_sets
 import numpy as np
-import pytest
 from stand_in import SceneStandIn
 
-from pepperscene.building.execution.build import build
-from pepperscene.building.execution.job import BuildOptions
-from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.frame import Frame
-from pepperscene.geometry import rectangle
-from pepperscene.recipe.resolve.load import load_recipe
-from pepperscene.scene import assemble_scene
 
 SIZE = (24, 32)
 SMALL = {
-    "plan.sets": 2, "plan.rotations": 1, "plan.frames": 2, "row.plants_front": 1, "row.plants_back": 0,
-    "cultivar": "kaite_february", "camera.width": SIZE[1], "camera.height": SIZE[0],
+    "plan.sets": 2, "plan.rotations": 1, "plan.frames": 2, "camera.width": SIZE[1], "camera.height": SIZE[0],
 }  # fmt: skip
-D435 = {
-    "depth_camera.sensor": "realsense_d435_infrared",
-    "depth_camera.lens": "realsense_d435_infrared",
-    "depth_camera.projector": "realsense_d435",
-    "depth_camera.width": 212,
-    "depth_camera.height": 120,
-    "depth_camera.baseline_mm": 50,
-}
+D435 = data_sets.D435 | {"depth_camera.width": 212, "depth_camera.height": 120}
 
 
-def painted_set(folder, outputs, paint, changes=None, recipe="barth2018", frames=None):
+def painted_set(folder, outputs, paint, changes=None, recipe="barth2018"):
     """Build a data set of a scene without plants whose images are those that `paint(seed)` returns."""
 
     class Painter(SceneStandIn):
@@ -39,11 +25,8 @@ def painted_set(folder, outputs, paint, changes=None, recipe="barth2018", frames
             metadata = {"camera": {**camera.to_metadata(), **size}, "instances": {}}
             return Frame({name: images[name] for name in outputs}, metadata)
 
-    scene = assemble_scene(rectangle((0, 0, 1), (1, 0, 0), (0, 0, 1)))
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(FrameRenderer, "assemble", lambda *_args, **_kwargs: AssembledScene(scene, {}))
-        resolved = load_recipe(recipe, {**SMALL, **(changes or {})})
-        return build(resolved, folder, frames, outputs, BuildOptions(renderer=Painter)).dataset
+    changes = SMALL | (changes or {})
+    return data_sets.set_without_plants(folder, None, outputs, Painter, changes, recipe=recipe)
 
 
 def paint_depth(seed, size):

@@ -5,30 +5,15 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+from memory_set import MemorySet
 
 from pepperscene.classes import IGNORE_CLASS
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.learning.class_table import ClassTable
 
 ORGANS = ClassTable.organs()
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ListedImages(ImageSet):
-    """Images in memory, of which the fields that are not selected are None."""
-
-    def names(self):
-        return tuple(image.name for image in self.items)
-
-    def read(self, item: Any) -> LabelledImage:
-        arrays = {
-            name: getattr(item, name) if name in self.fields else None
-            for name in ("colour", "classes", "instances")
-        }
-        return LabelledImage(item.name, **arrays)
 
 
 def image_set(*classes, name="toy", instances=None):
@@ -40,7 +25,7 @@ def image_set(*classes, name="toy", instances=None):
         colour = np.dstack([ids, noise])
         own = None if instances is None else np.asarray(instances[number], np.uint16)
         images.append(LabelledImage(f"image{number}", colour, None if mask is None else ids, own))
-    return ListedImages(name=name, items=tuple(images))
+    return MemorySet(name=name, items=tuple(images))
 
 
 def random_masks(count, seed=0, shape=(12, 16), void=True):
