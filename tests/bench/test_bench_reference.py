@@ -24,13 +24,14 @@ from pepperscene.camera import develop
 from pepperscene.errors import SetupError
 from pepperscene.render import QUALITIES
 
-SEEDS = 200
+SEEDS = 80
 
 
-@pytest.fixture
-def without_flip(monkeypatch):
-    """FLIP takes most of the time of errors."""
-    monkeypatch.setattr(image_errors, "mean_flip", lambda *_: 0.0)
+@pytest.fixture(autouse=True)
+def without_flip(monkeypatch, request):
+    """FLIP takes most of the time of errors, and has one test."""
+    if request.function is not test_flip_orders_errors:
+        monkeypatch.setattr(image_errors, "mean_flip", lambda *_: 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +77,12 @@ def test_codes_equal_the_developed_picture_before_rounding(camera):
     codes = develop_codes(image, camera)
     assert np.abs(codes - develop(image, exact)).max() <= 0.5 + 1e-3
     assert 50.0 < codes.mean() < 250.0
-    linear = dataclasses.replace(
-        camera, developing=dataclasses.replace(camera.developing, tone="linear", pedestal=0.0)
-    )
-    dark = random_picture(camera, 500.0)
+    steps = dataclasses.replace(camera.developing, tone="linear", pedestal=0.0)
+    linear, dark = dataclasses.replace(camera, developing=steps), random_picture(camera, 500.0)
     np.testing.assert_allclose(develop_codes(2 * dark, linear), 2 * develop_codes(dark, linear), atol=1e-3)
     assert np.abs(develop_codes(random_picture(camera, 1e9), camera) - 255.0).max() < 30.0
 
 
-@pytest.mark.usefixtures("without_flip")
 @pytest.mark.parametrize("reference_noise", [0.0, 3.0])
 def test_error_is_that_of_the_noise_however_noisy_the_reference_is(wide_camera, reference_noise):
     noise_e = 30.0
@@ -102,20 +100,18 @@ def test_error_is_that_of_the_noise_however_noisy_the_reference_is(wide_camera, 
     assert sum(outside) <= 0.02 * SEEDS
 
 
-@pytest.mark.usefixtures("without_flip")
 def test_standard_error_is_the_spread_over_seeds(wide_camera):
     # On a uniform image; otherwise differences between its parts are included.
     truth = ramp(wide_camera, 2_000.0, 2_000.0)
     results = errors_over_seeds(wide_camera, truth, 30.0, 30.0)
     spread = np.std([result.mean for result in results], ddof=1)
     stated = np.mean([result.standard_error for result in results])
-    # The spread of 200 values is known to 5 %, the mean of 200 standard errors of 24 blocks to 1 %.
-    assert stated == pytest.approx(spread, rel=0.15)
+    # The spread of 80 values is known to 8 %, the mean of 80 standard errors of 24 blocks to 2 %.
+    assert stated == pytest.approx(spread, rel=0.25)
     roots = np.std([result.root for result in results], ddof=1)
-    assert np.mean([result.root_uncertainty for result in results]) == pytest.approx(roots, rel=0.15)
+    assert np.mean([result.root_uncertainty for result in results]) == pytest.approx(roots, rel=0.25)
 
 
-@pytest.mark.usefixtures("without_flip")
 def test_noise_of_the_reference_adds_no_bias_in_the_dark(wide_camera):
     # Dark, where the tone curve is most concave; the image has no error.
     truth, noise_e = ramp(wide_camera, 20.0, 120.0), 20.0
@@ -133,7 +129,6 @@ def test_noise_of_the_reference_adds_no_bias_in_the_dark(wide_camera):
     assert np.mean(biased) > 10 * error
 
 
-@pytest.mark.usefixtures("without_flip")
 def test_small_errors_are_upper_limits(wide_camera):
     truth = ramp(wide_camera, 600.0, 3_000.0)
     # No error at all: two standard errors are exceeded in 2 % of the cases.
@@ -164,43 +159,26 @@ def test_limits_and_uncertainties_follow_from_mean_and_standard_error():
 def test_errors_of_several_images_are_averaged_as_squares(wide_camera):
     truth = ramp(wide_camera, 600.0, 3_000.0)
     exact = Reference(np.stack([truth, truth]), wide_camera)
-    rng = np.random.default_rng(3)
-    images = [noisy(truth, noise_e, rng) for noise_e in (10.0, 40.0)]
+    images = [noisy(truth, noise_e, np.random.default_rng(3)) for noise_e in (10.0, 40.0)]
     single = [measure_errors([image], exact).codes.mean for image in images]
     assert measure_errors(images, exact).codes.mean == pytest.approx(np.mean(single))
     with pytest.raises(ValueError, match="at least one image"):
         measure_errors([], exact)
-
-
-def test_light_above_the_full_well_counts_as_the_full_well(wide_camera):
-    well = wide_camera.sensor.full_well_e
-    truth = ramp(wide_camera, 2 * well, 3 * well)
-    errors = measure_errors([10 * truth], Reference(np.stack([truth, truth]), wide_camera))
+    # Light above the full well counts as the full well.
+    bright = 2 * truth / truth.min() * wide_camera.sensor.full_well_e
+    errors = measure_errors([10 * bright], Reference(np.stack([bright, bright]), wide_camera))
     assert errors.codes.mean == 0.0
-
-
-@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e18])
-def test_relative_error_equals_its_formula_in_any_unit(camera, scale):
-    # x = (1 + a) r with constant r: (a r)^2 / (r^2 + 0.01 r^2).
-    constant = scale * ramp(camera, 7.0, 7.0)
-    relative = measure_errors([1.1 * constant], Reference(np.stack([constant] * 2), camera)).relative
-    assert relative.mean == pytest.approx(0.01 / 1.01, rel=1e-6)
-    assert relative.standard_error == pytest.approx(0.0, abs=1e-12)
-
-
-def test_relative_error_is_that_of_the_noise(wide_camera):
-    truth = ramp(wide_camera, 2_000.0, 2_000.0)
-    rng = np.random.default_rng(4)
-    halves = np.stack([noisy(truth, 100.0, rng) for _ in range(2)])
-    relative = measure_errors([noisy(truth, 100.0, rng)], Reference(halves, wide_camera)).relative
-    assert relative.mean == pytest.approx(0.05**2 / 1.01, abs=3 * relative.standard_error)
-    assert relative.standard_error < 0.1 * relative.mean
-
-
-def test_black_images_have_no_error(camera):
-    black = np.zeros((camera.height, camera.width, camera.sensor.channels))
-    errors = measure_errors([black], Reference(np.stack([black, black]), camera))
+    errors = measure_errors([0 * truth], Reference(0 * exact.halves, wide_camera))
     assert (errors.codes.mean, errors.relative.mean, errors.codes.root_limit) == (0.0, 0.0, 0.0)
+
+
+def test_relative_error_equals_its_formula_in_any_unit(camera):
+    # x = (1 + a) r with constant r: (a r)^2 / (r^2 + 0.01 r^2).
+    for scale in (1e-30, 1.0, 1e18):
+        constant = scale * ramp(camera, 7.0, 7.0)
+        relative = measure_errors([1.1 * constant], Reference(np.stack([constant] * 2), camera)).relative
+        assert relative.mean == pytest.approx(0.01 / 1.01, rel=1e-6)
+        assert relative.standard_error == pytest.approx(0.0, abs=1e-12)
 
 
 def test_flip_orders_errors(camera):
@@ -208,19 +186,15 @@ def test_flip_orders_errors(camera):
     exact = Reference(np.stack([image, image]), camera)
     assert measure_errors([image], exact).flip == 0.0
     rng = np.random.default_rng(2)
-    flips = [
-        measure_errors([image * (1 + noise * rng.standard_normal(image.shape))], exact).flip
-        for noise in (0.01, 0.05, 0.2)
-    ]
+    noisier = (image * (1 + noise * rng.standard_normal(image.shape)) for noise in (0.01, 0.05, 0.2))
+    flips = [measure_errors([one], exact).flip for one in noisier]
     assert 0.0 < flips[0] < flips[1] < flips[2] < 1.0
     assert mean_flip(np.full((16, 16, 3), 255.0), np.zeros((16, 16, 3))) > 0.9
 
 
 def test_missing_packages_are_named(monkeypatch):
     monkeypatch.setattr(image_errors, "find_spec", lambda name: None)
-    with pytest.raises(
-        SetupError, match=r"flip-evaluator and matplotlib.*pip install 'pepperscene\[bench\]'"
-    ):
+    with pytest.raises(SetupError, match=r"flip-evaluator and matplotlib.*'pepperscene\[bench\]'"):
         check_packages()
 
 
@@ -233,10 +207,8 @@ def test_reference_estimates_its_own_error(subject, tmp_path):
 
 
 def test_images_are_weighted_by_their_samples(subject, tmp_path):
-    qualities = [
-        dataclasses.replace(QUALITIES["reference"], samples=count, soft=count, most=count)
-        for count in (4, 16)
-    ]
+    best = QUALITIES["reference"]
+    qualities = [dataclasses.replace(best, samples=n, soft=n, most=n) for n in (4, 16)]
     render_reference(subject, tmp_path, qualities[0], 1e-9, limit_s=0.0)
     result = render_reference(subject, tmp_path, qualities[1], 1e-9, limit_s=0.0)
     assert result.renders == 2  # there was no time for more
@@ -251,7 +223,7 @@ def test_images_are_weighted_by_their_samples(subject, tmp_path):
     assert halves.reference(subject.camera).halves.ravel() == pytest.approx([(4 + 64) / 20, (8 + 128) / 20])
 
 
-def test_reference_is_cached_and_refined(subject, tmp_path):
+def test_reference_is_cached_by_scene_and_camera_and_refined(subject, tmp_path):
     first = render_reference(subject, tmp_path, target_codes=0.2)
     calls = subject.renderer.calls
     count = len(calls)
@@ -262,9 +234,6 @@ def test_reference_is_cached_and_refined(subject, tmp_path):
     finer = render_reference(subject, tmp_path, target_codes=0.1)
     assert len(calls) == finer.renders
     assert len({seed for *_, seed in calls}) == len(calls)
-
-
-def test_cache_key_depends_on_scene_and_camera_only(subject):
     moved = dataclasses.replace(subject, camera=dataclasses.replace(subject.camera, exposure_s=1e-3))
     assert moved.digest() != subject.digest()
     assert subject.digest() == dataclasses.replace(subject, renderer=None, scene=None).digest()

@@ -53,18 +53,15 @@ def test_measured_points_are_used_as_they_are():
     # A single point says nothing about other errors, and none says nothing at all.
     assert time_at_error(1.0, [(3.0, 2.0)]) is None
     assert time_at_error(1.0, []) is None
+    for error in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="above 0"):
+            time_at_error(error, [(1.0, 1.0), (2.0, 0.5)])
 
 
 def test_front_has_no_point_that_another_beats():
     points = [(1.0, 5.0), (2.0, 6.0), (2.0, 3.0), (3.0, 3.0), (4.0, 1.0)]
     assert pareto_front(points) == [(1.0, 5.0), (2.0, 3.0), (4.0, 1.0)]
     assert time_at_error(6.0, points) is None
-
-
-@pytest.mark.parametrize("error", [0.0, -1.0, float("nan")])
-def test_rejects_errors_that_are_not_positive(error):
-    with pytest.raises(ValueError, match="above 0"):
-        time_at_error(error, [(1.0, 1.0), (2.0, 0.5)])
 
 
 def test_ratios_at_equal_error_of_power_laws():
@@ -111,26 +108,21 @@ def test_no_ratio_is_stated_outside_the_measured_range():
     }  # fmt: skip
 
 
-def test_path_tracer_of_another_scene_is_not_compared():
+def test_upper_limits_and_other_scenes_are_left_out_of_ratios():
     standard = result(NAMED, "standard", 2.0, 1.0)
-    path = [result(PLAIN, f"{n}", float(n), (16.0 / n) ** 0.5, scene="flash") for n in (4, 64)]
-    assert relative_path_time(standard, [standard, *path]) == "–"
-
-
-def test_upper_limits_are_left_out_of_ratios():
+    elsewhere = [result(PLAIN, f"{n}", float(n), (16.0 / n) ** 0.5, scene="flash") for n in (4, 64)]
+    assert relative_path_time(standard, [standard, *elsewhere]) == "–"
     unknown = result(NAMED, "standard", 2.0, 1.0, standard_error=0.6)
     path = [result(PLAIN, f"{n}", float(n), (16.0 / n) ** 0.5) for n in (4, 64)]
     assert relative_path_time(unknown, [unknown, *path]) == "–"
     assert time_ratios([unknown, *path]) == []
     # And a limit of the path tracer is no point of its line.
-    standard = result(NAMED, "standard", 2.0, 1.0)
     uncertain = result(PLAIN, "64", 64.0, 0.5, standard_error=0.2)
     assert relative_path_time(standard, [standard, path[0], uncertain]) == "> 2 ×"
 
 
-@pytest.mark.parametrize(
-    ("mean", "standard_error", "text"),
-    [
+def test_errors_have_an_uncertainty_or_are_limits():
+    for mean, standard_error, text in (
         (1.2544, 0.0448, "1.12 ± 0.02"),
         (900.0, 12.0, "30.0 ± 0.2"),
         (900.0, 120.0, "30 ± 2"),
@@ -141,10 +133,8 @@ def test_upper_limits_are_left_out_of_ratios():
         (-1.0, 8.0, "< 4"),
         (0.0, 0.0, "< 0"),
         (0.0, float("inf"), "< inf"),
-    ],
-)
-def test_errors_have_an_uncertainty_or_are_limits(mean, standard_error, text):
-    assert format_error(SquaredError(mean, standard_error)) == text
+    ):
+        assert format_error(SquaredError(mean, standard_error)) == text
 
 
 @given(mean=st.floats(-10.0, 10.0), standard_error=st.floats(1e-6, 10.0))

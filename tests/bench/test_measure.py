@@ -66,6 +66,10 @@ def test_settings_that_would_end_late_are_not_started(subject, reference):
     assert [len(result.seconds) for result in results] == [5, 1]
     assert "test: test, 200 spp: no time after 1 rounds" in lines
     assert subject.renderer.now < 5.0
+    # Named qualities are measured without time.
+    settings = [*samples(100, 200, family=NAMED), *samples(400)]
+    results = measure_settings(subject, settings, reference, 5, limit_s=-1.0)
+    assert [(result.name, len(result.seconds)) for result in results] == [("100 spp", 1), ("200 spp", 1)]
 
 
 @pytest.mark.usefixtures("simulated_clock")
@@ -81,14 +85,6 @@ def test_compilation_does_not_count_as_time_of_later_settings(subject, reference
     results = measure_settings(subject, samples(1, 16, 1000), reference, 2, limit_s=10.0)
     assert [result.effort["samples"] for result in results] == [1, 16]
     assert [len(result.seconds) for result in results] == [2, 2]
-
-
-@pytest.mark.usefixtures("simulated_clock")
-def test_named_qualities_are_measured_without_time(subject, reference):
-    settings = [*samples(100, 200, family=NAMED), *samples(400)]
-    results = measure_settings(subject, settings, reference, 5, limit_s=-1.0)
-    assert [result.name for result in results] == ["100 spp", "200 spp"]
-    assert [len(result.seconds) for result in results] == [1, 1]
 
 
 def test_samples_are_compared_within_a_method_only():

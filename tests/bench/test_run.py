@@ -20,7 +20,6 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import develop, expected_electrons
 from pepperscene.cli import app
 from pepperscene.cli.machine import BenchCost
-from pepperscene.errors import InputError
 
 FILES = {"results.json", "results.csv", "results.md", "pareto.png", "pareto.svg"}
 NEAR = [SCENES["near"]]
@@ -29,15 +28,13 @@ NEAR = [SCENES["near"]]
 @pytest.mark.usefixtures("noisy_scenes")
 def test_files_hold_all_measurements(tmp_path):
     lines = []
-    result = run_benchmark(
-        tmp_path / "out", NEAR, (16, 12), runs=2, budget_s=60.0, quick=True, on_progress=lines.append
-    )
+    options = {"runs": 2, "budget_s": 60.0, "quick": True}
+    result = run_benchmark(tmp_path / "out", NEAR, (16, 12), **options, on_progress=lines.append)
     assert {path.name for path in result.files} == FILES
     content = json.loads((tmp_path / "out" / "results.json").read_text())
     assert {"date", "cpu", "cores", "system", "python", "packages"} <= set(content["machine"])
     assert content["machine"]["packages"]["mitsuba"]
-    asked = {"size": [16, 12], "runs": 2, "budget_s": 60.0, "quick": True, "all_settings": False}
-    assert content["asked"] == asked
+    assert content["asked"] == {"size": [16, 12], **options, "all_settings": False}
     assert content["scenes"]["near"]["reference"]["error_codes"] > 0.0
     names = [(setting.family, setting.name) for setting in settings(quick=True)]
     assert [(row["family"], row["name"]) for row in content["measured"]] == names
@@ -63,15 +60,16 @@ def test_files_hold_all_measurements(tmp_path):
 
 
 @pytest.mark.usefixtures("noisy_scenes")
-def test_all_scenes_are_in_one_table_and_one_plot(tmp_path):
+def test_all_scenes_are_in_one_table_and_one_plot_and_replace_earlier_ones(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    run_benchmark(tmp_path, NEAR, (16, 12), runs=1, quick=True)
     result = run_benchmark(tmp_path, size=(16, 12), runs=1, quick=True)
     rows = [line.split(" | ")[0][2:] for line in result.markdown.splitlines() if line.startswith("| ")]
     assert list(dict.fromkeys(rows)) == ["scene", "flash", "daylight", "nir", "near"]
-    svg = (tmp_path / "pareto.svg").read_text()
-    assert svg.count("16 × 12 pixels") == 4
-    # The noise of the sensor's single channel is not averaged over three.
+    assert (tmp_path / "pareto.svg").read_text().count("16 × 12 pixels") == 4
     content = json.loads((tmp_path / "results.json").read_text())
     assert {row["scene"] for row in content["measured"]} == set(SCENES)
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "mine.txt", "references"}
 
 
 @pytest.mark.usefixtures("noisy_scenes")
@@ -113,14 +111,6 @@ def test_references_within_a_budget_have_small_images(tmp_path, monkeypatch, bud
 
 
 @pytest.mark.usefixtures("noisy_scenes")
-def test_second_run_replaces_results_and_keeps_other_files(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    for _ in range(2):
-        run_benchmark(tmp_path, NEAR, (16, 12), runs=1, quick=True)
-    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "mine.txt", "references"}
-
-
-@pytest.mark.usefixtures("noisy_scenes")
 def test_interruption_leaves_the_references_only(tmp_path, monkeypatch):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
@@ -131,7 +121,7 @@ def test_interruption_leaves_the_references_only(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["references"]
 
 
-@pytest.mark.parametrize("size", [(80, 60), (1600, 1200), (400, 200)])
+@pytest.mark.parametrize("size", [(80, 60), (400, 200)])
 def test_resized_camera_has_the_same_view_and_exposure(camera, size):
     resized = resize_camera(camera, size)
     assert (resized.width, resized.height) == size
@@ -148,65 +138,51 @@ def test_resized_camera_has_the_same_view_and_exposure(camera, size):
     assert np.abs(codes[0] - codes[1]).max() <= 2
 
 
-def test_scenes_load_with_neighbouring_frames():
+def test_scenes_have_neighbouring_frames_and_the_near_infrared_one_a_monochrome_camera():
     for scene in SCENES.values():
         recipe = scene.load()
         assert 0 < recipe.plan.frame(scene.index).step < recipe.plan.frames - 10
     assert list(SCENES) == ["flash", "daylight", "nir", "near"]
-
-
-def test_near_infrared_scene_has_a_monochrome_camera():
     scene = SCENES["nir"]
     recipe = scene.load()
     camera = FrameRenderer(recipe).camera(recipe.plan.frame(scene.index))
     assert camera.sensor.channels == 1
-    efficiency, light = camera.sensor.quantum_efficiency, camera.flash.spectrum
     # The filter and the lamp leave a band around 850 nm.
     nm = np.arange(400.0, 1000.0)
-    response = efficiency.at(nm)[0] * light.at(nm)
+    response = camera.sensor.quantum_efficiency.at(nm)[0] * camera.flash.spectrum.at(nm)
     assert np.average(nm, weights=response) == pytest.approx(850.0, abs=15.0)
-    assert scene.index == SCENES["flash"].index
-    assert scene.recipe == SCENES["flash"].recipe
+    assert (scene.index, scene.recipe) == (SCENES["flash"].index, SCENES["flash"].recipe)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--scene", "far"], "unknown scene 'far'; allowed are flash, daylight, nir, near"),
-        (["--scene", ","], "names no scene"),
-        (["--size", "80"], "'80' must be WIDTHxHEIGHT"),
-        (["--size", "0x60"], "must be WIDTHxHEIGHT"),
-        (["--size", "99999x60"], "each 1 to 8192"),
-        (["--runs", "0"], "--runs: 0 must be at least 1"),
-        (["--scene", "standard"], "unknown scene 'standard'"),
-        (["--budget", "-1"], "--budget: -1 must be above 0"),
-        (["--budget", "0"], "--budget: 0 must be above 0"),
-        (["--budget", "nan"], "--budget: nan must be above 0"),
-        (["--all-settings", "--quick"], "--all-settings: cannot be combined with --quick"),
-        (["--all-settings", "--profile"], "--all-settings: cannot be combined"),
-        (["--profile", "--scaling"], "cannot be combined"),
-        (["--profile", "--runs", "0"], "at least 1"),
-        (["--out", "file"], "is not a folder"),
-    ],
-)
-def test_invalid_options_give_one_line_and_exit_code_2(tmp_path, monkeypatch, arguments, message):
+def test_invalid_options_give_one_line_and_exit_code_2(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    result = CliRunner().invoke(app, ["bench", "--out", "out", *arguments])
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert result.stderr.count("\n") == 1
+    for message, *arguments in (
+        ("unknown scene 'far'; allowed are flash, daylight, nir, near", "--scene", "far"),
+        ("names no scene", "--scene", ","),
+        ("'80' must be WIDTHxHEIGHT", "--size", "80"),
+        ("must be WIDTHxHEIGHT", "--size", "80x60x3"),
+        ("must be WIDTHxHEIGHT", "--size", "0x60"),
+        ("each 1 to 8192", "--size", "99999x60"),
+        ("--runs: 0 must be at least 1", "--runs", "0"),
+        ("--budget: 0 must be above 0", "--budget", "0"),
+        ("--budget: nan must be above 0", "--budget", "nan"),
+        ("--all-settings: cannot be combined with --quick", "--all-settings", "--quick"),
+        ("--all-settings: cannot be combined", "--all-settings", "--profile"),
+        ("cannot be combined", "--profile", "--scaling"),
+        ("at least 1", "--profile", "--runs", "0"),
+        ("is not a folder", "--out", "file"),
+    ):
+        result = CliRunner().invoke(app, ["bench", "--out", "out", *arguments])
+        assert result.exit_code == 2, arguments
+        assert message in result.stderr
+        assert result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 
 def test_defaults_of_the_command_are_those_of_the_function():
+    assert [scene.name for scene in select_scenes(" near,daylight ")] == ["daylight", "near"]
+    assert parse_size("80x60") == (80, 60)
     command, function = BenchCost(), inspect.signature(run_benchmark).parameters
     assert command.budget == function["budget_s"].default == 900.0
     assert command.runs == function["runs"].default
-
-
-def test_names_and_sizes_are_parsed():
-    assert [scene.name for scene in select_scenes(" near,daylight ")] == ["daylight", "near"]
-    assert parse_size("80x60") == (80, 60)
-    with pytest.raises(InputError):
-        parse_size("80x60x3")

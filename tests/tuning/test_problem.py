@@ -86,15 +86,10 @@ def differences(problem, vector) -> np.ndarray:
     return central_differences(problem, vector)
 
 
-def relative_errors(jacobian: np.ndarray, differences: np.ndarray, problem: FitProblem) -> np.ndarray:
-    """`(p,)` relative difference of each column, without the rows of the priors, which would hide it."""
-    error, expected = (jacobian - differences)[: problem.data_count], differences[: problem.data_count]
-    return np.linalg.norm(error, axis=0) / np.linalg.norm(expected, axis=0)
-
-
 def disagreement(jacobian: np.ndarray, differences: np.ndarray, problem: FitProblem) -> dict[str, float]:
-    """Relative difference of each entry's column from its finite differences."""
-    errors = relative_errors(jacobian, differences, problem)
+    """Relative difference of each entry's column, without the rows of the priors, which would hide it."""
+    error, expected = (jacobian - differences)[: problem.data_count], differences[: problem.data_count]
+    errors = np.linalg.norm(error, axis=0) / np.linalg.norm(expected, axis=0)
     return dict(zip([one.label for one in problem.entries], errors, strict=True))
 
 
@@ -145,14 +140,6 @@ def test_raises_on_an_entry_that_cannot_change(target):
     fixed = replace(exposure, prior=(exposure.prior[0].model_copy(update={"low": 1.0, "high": 1.0}),))
     with pytest.raises(ValueError, match="cannot change"):
         ParameterStep.along(Entry(fixed, 0), {}, target.tuned_parts)
-
-
-@pytest.mark.parametrize(("factor", "least"), [(-1.0, 1.0), (1.1, 5.0 * TOLERANCE), (0.9, 5.0 * TOLERANCE)])
-def test_detects_a_column_of_wrong_sign_or_scale(problem, jacobian, differences, factor, least):
-    for i, entry in enumerate(problem.entries):
-        wrong = jacobian.copy()
-        wrong[:, i] *= factor
-        assert worst(wrong, differences, problem) > least, entry.label
 
 
 def replace_attribute(owner, name, wrap):
@@ -227,17 +214,13 @@ def test_inside_moves_values_off_the_bounds(problem):
     assert problem.inside(problem.mean) == pytest.approx(problem.mean)
 
 
-def test_residuals_are_zero_for_predicted_targets_only(problem):
+def test_residuals_are_zero_for_predicted_targets_only_and_in_units_of_sigma(problem):
     values = problem.values(problem.default)
     parts = problem.tuned_parts(values)
     exact = [replace(one, target=one.predicted(parts)) for one in problem.observations]
     same = FitProblem(problem.parameters, problem.tuned_parts, exact)
     assert np.abs(same.data_residuals(values)).max() < 1e-6
     assert np.abs(same.data_residuals({**values, "exposure": np.array([0.9])})).max() > 0.5
-
-
-def test_residuals_are_in_units_of_sigma(problem):
-    values = problem.values(problem.default)
     uncertain = [replace(one, sigma=2.0 * one.sigma) for one in problem.observations]
     wider = FitProblem(problem.parameters, problem.tuned_parts, uncertain)
     assert wider.data_residuals(values) == pytest.approx(0.5 * problem.data_residuals(values))

@@ -59,31 +59,23 @@ def entries(*names: str) -> tuple[Entry, ...]:
 
 def test_finds_the_surface_of_a_kind():
     plants = load_cultivar("kaite")
-    fruit = plants.organs["fruit"].distributions
-    unripe, ripe = (surface_of_kind(plants, f"pepper.{stage}") for stage in ("unripe", "ripe"))
-    assert unripe == MeasuredSurface("fruit", fruit["unripe"].mean, thin=False)
-    assert ripe == MeasuredSurface("fruit", fruit["ripe"].mean, thin=False)
+    for stage in ("unripe", "ripe"):
+        mean = plants.organs["fruit"].distributions[stage].mean
+        assert surface_of_kind(plants, f"pepper.{stage}") == MeasuredSurface("fruit", mean, thin=False)
     leaf = surface_of_kind(plants, "leaf")
     assert (leaf.surface, leaf.thin) == ("leaf", True)
     for kind, surface in {"peduncle": "peduncle", "stem": "stem", "shoot": "petiole"}.items():
         assert surface_of_kind(plants, kind).surface == surface
-
-
-@pytest.mark.parametrize("cultivar", ["tomato", "orange_pointed"])
-def test_finds_surfaces_of_other_crops(cultivar):
-    plants = load_cultivar(cultivar)
+    for kind in ("pepper", "pepper.state", "pepper.diameter", "leaf.ripe", "wire", "cut"):
+        with pytest.raises(InputError, match="must be one of") as error:
+            surface_of_kind(plants, kind)
+        listed = "pepper.unripe, pepper.breaker, pepper.ripe" in str(error.value)
+        assert listed or not kind.startswith("pepper")
+    tomato = load_cultivar("tomato")
     for kind in ("pepper.unripe", "pepper.ripe", "leaf", "stem", "shoot"):
-        surface = surface_of_kind(plants, kind)
-        assert surface.surface in plants.pigments
+        surface = surface_of_kind(tomato, kind)
+        assert surface.surface in tomato.pigments
         assert 0.0 <= surface.state <= 1.0
-
-
-@pytest.mark.parametrize("kind", ["pepper", "pepper.state", "pepper.diameter", "leaf.ripe", "wire", "cut"])
-def test_raises_on_kinds_that_plants_do_not_have(kind):
-    with pytest.raises(InputError, match="must be one of") as error:
-        surface_of_kind(load_cultivar("kaite"), kind)
-    if kind.startswith("pepper"):
-        assert "pepper.unripe, pepper.breaker, pepper.ripe" in str(error.value)
 
 
 def test_default_values_predict_the_cultivar():
@@ -116,7 +108,7 @@ def test_only_the_range_of_pigments_is_compared():
         model_of(MeasuredSpectrum("infrared", "leaf", infrared))
 
 
-@pytest.mark.parametrize("step_nm", [1.0, 5.0, 10.0])
+@pytest.mark.parametrize("step_nm", [1.0, 10.0])
 def test_finer_sampling_adds_no_weight(step_nm):
     curve, costs, independent = measured("leaf").spectrum, [], []
     for step in (2.0, step_nm):
