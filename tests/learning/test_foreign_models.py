@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from painted_bands import CLASSES, bands_set, write_bands
+from painted_bands import CLASSES, write_bands
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -19,11 +18,8 @@ torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 pytest.importorskip("safetensors.torch", reason="the extra `learn` installs safetensors")
 
 from pepperscene.learning.class_table import ClassTable  # noqa: E402
-from pepperscene.learning.evaluation.evaluate import evaluate  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, load_model  # noqa: E402
 from pepperscene.learning.models.trained_model import apply_model, weights_as_bytes  # noqa: E402
-from pepperscene.learning.options import TrainingOptions  # noqa: E402
-from pepperscene.learning.training.run import train  # noqa: E402
 
 NEEDS_CODE = "runs only with --allow-code (in Python, allow_code=True)"
 MODULE = """
@@ -152,22 +148,6 @@ def test_a_factory_does_not_replace_a_model_of_this_package(folder, sets):
     assert result.stderr == "error: --model: cannot be combined with --start, which has a model\n"
     assert not (folder / "marker").exists()
     assert not (folder / "out").exists()
-
-
-def test_python_gives_the_factory_and_the_permission(folder):
-    options = TrainingOptions(
-        "evil_net:make", classes=CLASSES, steps=1, batch=1, size=(32, 32), width=None, precision="float32"
-    )
-    images = bands_set(2)
-    with pytest.raises(ArgumentError, match="allow_code=True"):
-        train(images, folder / "mine", options)
-    assert not (folder / "marker").exists()
-    model = train(images, folder / "mine", replace(options, allow_code=True))
-    again = load_model(folder / "mine", factory="evil_net:make", allow_code=True)
-    assert evaluate(again, images).to_json() == evaluate(model, images).to_json()
-    assert again.model == "evil_net:make"
-    further = train(images, folder / "next", replace(options, allow_code=True), start=folder / "mine")
-    assert further.model == "evil_net:make"
 
 
 def test_the_folder_of_a_training_names_nothing_to_import(folder, sets):

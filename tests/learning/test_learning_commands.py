@@ -114,11 +114,9 @@ def test_rejects_wrong_input_in_one_sentence(rejects, photos, tmp_path):
 
 def test_says_how_to_install_torch(monkeypatch, photos):
     find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *a: None if name == "torch" else find(name, *a)
-    )
+    without = lambda name, *a: None if name == "torch" else find(name, *a)  # noqa: E731
+    monkeypatch.setattr(importlib.util, "find_spec", without)
     result = CliRunner().invoke(app, ["evaluate", "model", str(photos), "--labels", "published"])
     assert result.exit_code == EXIT_BAD_INPUT
-    assert result.stderr == (
-        "error: torch is not installed; install it with `pip install 'pepperscene[learn]'`\n"
-    )
+    message = "error: torch is not installed; install it with `pip install 'pepperscene[learn]'`\n"
+    assert result.stderr == message

@@ -11,9 +11,8 @@ from PIL import Image
 from toy_models import ORGANS, Constant, ReadsRed, image_set, random_masks
 
 from pepperscene.classes import CLASS_COLOURS
-from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import LabelledImage
-from pepperscene.errors import InputError, OutputError
+from pepperscene.errors import InputError
 from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 from pepperscene.learning.evaluation.predict import predict
 
@@ -68,17 +67,6 @@ def test_other_classes_are_indices(tmp_path):
     assert described[0]["members"] == [0, 1, 4, 5, 6, 7]
 
 
-def test_predictions_are_read_back_as_masks(tmp_path):
-    paths = write_pictures(tmp_path / "pictures")
-    predict(ReadsRed(), tmp_path / "pictures", tmp_path / "out")
-    for path in paths:
-        path.rename(tmp_path / "out" / path.name)
-    (tmp_path / "out" / "class_colour").rename(tmp_path / "elsewhere")
-    images = open_images(tmp_path / "out", labels="published")
-    for image, mask in zip(images, MASKS, strict=True):
-        np.testing.assert_array_equal(image.classes, mask)
-
-
 def test_predicts_folders_and_pictures(tmp_path):
     first = write_pictures(tmp_path / "a")
     (tmp_path / "b" / "images").mkdir(parents=True)
@@ -110,10 +98,3 @@ def test_rejects_what_cannot_be_predicted(tmp_path):
         with pytest.raises(InputError, match=r"image0.png: cannot be read as an image"):
             predict(ReadsRed(), source, out)
     assert not (out / "classes.json").exists()
-
-
-def test_rejects_a_folder_of_other_files(tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "notes.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"out: holds 'notes.txt'"):
-        predict(ReadsRed(), image_set(*MASKS), tmp_path / "out")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
@@ -51,13 +52,10 @@ class Browser:
             # WebGL on machines without a graphics card.
             "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
         ]  # fmt: skip
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _LAUNCH, str(read_commands), str(write_answers), *arguments],
-            pass_fds=(read_commands, write_answers),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        streams = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        pipes = (read_commands, write_answers)
+        command = [sys.executable, "-c", _LAUNCH, *map(str, pipes), *arguments]
+        self._process = subprocess.Popen(command, pass_fds=pipes, **streams)
         os.close(read_commands)
         os.close(write_answers)
         self._number = 0
@@ -100,13 +98,8 @@ class Browser:
 
     def open(self, page: Path, width: int = 1280, height: int = 800, dark: bool = False) -> None:
         """Load a page from the disk without a network, and wait until it is complete."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         # Scroll without animation, which would be cut short on a busy machine.
         motion = {"name": "prefers-reduced-motion", "value": "reduce"}
@@ -181,10 +174,9 @@ class Browser:
         """Read messages, which end with a zero byte."""
         rest = b""
         while True:
-            try:
+            part = b""
+            with contextlib.suppress(OSError):
                 part = os.read(self._answers, 1 << 16)
-            except OSError:
-                return
             if not part:
                 return
             *messages, rest = (rest + part).split(b"\0")

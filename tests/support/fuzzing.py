@@ -7,7 +7,7 @@ import signal
 import warnings
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pepperscene.errors import PepperError
@@ -29,20 +29,11 @@ BYTES = (
     b"[", b"]", b"[[", b"{", b"}", b"=", b".", b"#", b"\\", b"\\ud800", b"\xff\xff\xff\xff", 300 * b"[",
     b"../", b"/dev/null", b"\xe2\x80\xa8", b"\x7f",
 )  # fmt: skip
-KINDS = (
-    "flip", "cut", "delete", "insert", "repeat", "swap", "number", "number", "line", "byte",
-)  # fmt: skip
+KINDS = ("flip", "cut", "delete", "insert", "repeat", "swap", "number", "number", "line", "byte")
 
 POSITION = st.integers(0, 2**20)
-EDIT = st.tuples(
-    st.sampled_from(KINDS),
-    POSITION,
-    POSITION,
-    st.sampled_from(BYTES),
-    st.sampled_from(NUMBERS),
-    st.integers(0, 7),
-)
-EDITS = st.lists(EDIT, min_size=1, max_size=4)
+CHOICES = (st.sampled_from(BYTES), st.sampled_from(NUMBERS), st.integers(0, 7))
+EDITS = st.lists(st.tuples(st.sampled_from(KINDS), POSITION, POSITION, *CHOICES), min_size=1, max_size=4)
 
 
 def mutated(content, edits):
@@ -71,14 +62,9 @@ def _edited(content, kind, first, second, inserted, number, bit):
         other = second % (len(content) + 1)
         low, high = sorted((at, other))
         width = min(16, high - low)
+        first, second = (slice(start, start + width) for start in (low, high))
         middle = content[low + width : high]
-        return (
-            content[:low]
-            + content[high : high + width]
-            + middle
-            + content[low : low + width]
-            + content[high + width :]
-        )
+        return content[:low] + content[second] + middle + content[first] + content[high + width :]
     if kind == "number":
         return _with_number(content, first, number)
     if kind == "line":
@@ -127,13 +113,7 @@ def attempt(examples, strategy, read):
     """
     counts = [0, 0]
 
-    @settings(
-        max_examples=examples,
-        derandomize=True,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @settings(settings.get_profile("ci"), max_examples=examples)
     @given(strategy)
     def once(value):
         try:

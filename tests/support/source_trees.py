@@ -30,8 +30,14 @@ def nodes(path: Path) -> tuple[ast.AST, ...]:
 
 @cache
 def calls(path: Path) -> tuple[tuple[str, ast.Call], ...]:
-    """All calls of a file, each with what is called, as text."""
-    return tuple((ast.unparse(node.func), node) for node in nodes(path) if isinstance(node, ast.Call))
+    """All calls of a file, each with the dotted name of what is called; "" stands for an expression in it."""
+    return tuple((_dotted_name(node.func), node) for node in nodes(path) if isinstance(node, ast.Call))
+
+
+def _dotted_name(node: ast.expr) -> str:
+    if isinstance(node, ast.Attribute):
+        return f"{_dotted_name(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
 
 
 def keywords_of(call: ast.Call) -> dict[str | None, str]:

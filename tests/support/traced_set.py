@@ -19,15 +19,14 @@ from pepperscene.frame import Frame
 WIDTH, HEIGHT = 160, 120
 INTRINSICS = {"fx": 150.0, "fy": 153.0, "cx": 84.25, "cy": 57.5}
 """In OpenCV's convention, as a recipe has it: the centre of the upper left pixel is at (0, 0)."""
-LENSES = {
-    "pinhole": {},
-    "brown": {"distortion_model": "plumb_bob", "distortion": [-0.21, 0.07, 0.002, -0.003]},
-    "brown_k3": {"distortion_model": "plumb_bob", "distortion": [-0.21, 0.07, 0.002, -0.003, -0.01]},
-    "rational": {
-        "distortion_model": "rational_polynomial",
-        "distortion": [0.3, 0.1, 0.001, -0.002, 0.02, 0.5, 0.15, 0.03],
-    },
-    "fisheye": {"distortion_model": "equidistant", "distortion": [0.03, -0.01, 0.004, -0.001]},
+LENSES = {"pinhole": {}} | {
+    name: {"distortion_model": model, "distortion": coefficients}
+    for name, model, coefficients in (
+        ("brown", "plumb_bob", [-0.21, 0.07, 0.002, -0.003]),
+        ("brown_k3", "plumb_bob", [-0.21, 0.07, 0.002, -0.003, -0.01]),
+        ("rational", "rational_polynomial", [0.3, 0.1, 0.001, -0.002, 0.02, 0.5, 0.15, 0.03]),
+        ("fisheye", "equidistant", [0.03, -0.01, 0.004, -0.001]),
+    )
 }
 SPHERE, RADIUS_M = np.array([0.02, -0.1, 1.2]), 0.09
 WALL_Y_M, TOP_M = 0.25, 1.9
@@ -151,11 +150,8 @@ class Tracer(SceneStandIn):
 
 def make_traced_set(folder, lens="pinhole", outputs=OUTPUTS, frames=range(4), rolling=None, **changes):
     """Frames of one scene on an arc, 12 if all are built."""
-    kind = type(
-        "LensTracer",
-        (Tracer,),
-        {"lens": lens, "rolling": rolling, "ignores": "greenhouse.far_rows_as" in changes},
-    )
+    settings = {"lens": lens, "rolling": rolling, "ignores": "greenhouse.far_rows_as" in changes}
+    kind = type("LensTracer", (Tracer,), settings)
     camera = {f"camera.{key}": value for key, value in {**INTRINSICS, **LENSES[lens]}.items()}
     recipe = {
         "plan.sets": 1, "plan.rotations": 1, "plan.frames": 12, "camera.lens": "none",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import typing
-from functools import partial
+from functools import cache, partial
 
 from annotated_types import Ge, Gt, Le, Lt
 from hypothesis import strategies as st
@@ -26,11 +26,8 @@ WIDEST = {"mm": 1e6, "deg": 1e6, "": 1e6}
 _ABOVE = 1e-7
 """The least number that is drawn of parameters that must be above 0."""
 BASES = {
-    "leaf": ("petiole", "lamina"),
-    "fruit": ("peduncle", "fruit"),
-    "flower": ("pedicel", "flower"),
-    "cut": ("cut",),
-}
+    "leaf": ("petiole", "lamina"), "fruit": ("peduncle", "fruit"), "flower": ("pedicel", "flower"), "cut": ("cut",),
+}  # fmt: skip
 """What grows at the nodes of a drawn cultivar: kinds of `kaite`, each on the one before."""
 NOT_DRAWN = {
     # Structure, which `BASES` and the slots of nodes give.
@@ -68,10 +65,9 @@ def _metadata(field: FieldInfo) -> list[object]:
 
 def types_of(field: FieldInfo) -> list[object]:
     """The types of a field without their bounds, and without None."""
-    annotation = field.annotation
-    is_union = type(None) in typing.get_args(annotation)
+    options = typing.get_args(field.annotation)
     options = (
-        [part for part in typing.get_args(annotation) if part is not type(None)] if is_union else [annotation]
+        [part for part in options if part is not type(None)] if type(None) in options else [field.annotation]
     )
     return [typing.get_args(part)[0] if hasattr(part, "__metadata__") else part for part in options]
 
@@ -209,13 +205,9 @@ def cultivar_of(tables: dict) -> Cultivar:
     return validate(Cultivar, tables, "drawn")
 
 
-_KAITE: list[dict] = []
-
-
+@cache
 def _kaite() -> dict:
-    if not _KAITE:
-        _KAITE.append(merge_chain(read_chain("kaite")))
-    return _KAITE[0]
+    return merge_chain(read_chain("kaite"))
 
 
 KEPT = {
@@ -236,12 +228,8 @@ def recipe_keys(model: type = Recipe, above: str = "") -> dict[str, FieldInfo]:
         tables = [part for part in [annotation, *typing.get_args(annotation)] if is_table(part)]
         if tables:
             found |= recipe_keys(tables[0], f"{key}.")
-        elif (
-            key not in KEPT
-            and not key.startswith("depth_camera.")
-            and set(types_of(field)) & {int, float, bool}
-        ):
-            found[key] = field
+        elif key not in KEPT and not key.startswith("depth_camera."):
+            found |= {key: field} if set(types_of(field)) & {int, float, bool} else {}
     return found
 
 
