@@ -98,8 +98,8 @@ def instance_entries(instance, classes):
         rows, columns = np.nonzero(instance == number)
         box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
         entries[str(number)] = {
-            "class": int(classes[rows[0], columns[0]]), "kind": "disc", "plant": 0, "phytomer": 1, "parent": 0,
-            "pixels": len(rows), "box": [int(edge) for edge in box],
+            "class": int(classes[rows[0], columns[0]]), "kind": "disc", "plant": 0, "phytomer": 1,
+            "parent": 0, "pixels": len(rows), "box": [int(edge) for edge in box],
         }  # fmt: skip
     return entries
 

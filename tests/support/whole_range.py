@@ -65,10 +65,9 @@ def _metadata(field: FieldInfo) -> list[object]:
 
 def types_of(field: FieldInfo) -> list[object]:
     """The types of a field without their bounds, and without None."""
-    options = typing.get_args(field.annotation)
-    options = (
-        [part for part in options if part is not type(None)] if type(None) in options else [field.annotation]
-    )
+    parts = typing.get_args(field.annotation)
+    is_optional = type(None) in parts
+    options = [part for part in parts if part is not type(None)] if is_optional else [field.annotation]
     return [typing.get_args(part)[0] if hasattr(part, "__metadata__") else part for part in options]
 
 
