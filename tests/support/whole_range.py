@@ -26,7 +26,8 @@ WIDEST = {"mm": 1e6, "deg": 1e6, "": 1e6}
 _ABOVE = 1e-7
 """The least number that is drawn of parameters that must be above 0."""
 BASES = {
-    "leaf": ("petiole", "lamina"), "fruit": ("peduncle", "fruit"), "flower": ("pedicel", "flower"), "cut": ("cut",),
+    "leaf": ("petiole", "lamina"), "fruit": ("peduncle", "fruit"), "flower": ("pedicel", "flower"),
+    "cut": ("cut",),
 }  # fmt: skip
 """What grows at the nodes of a drawn cultivar: kinds of `kaite`, each on the one before."""
 NOT_DRAWN = {
