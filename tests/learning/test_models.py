@@ -167,7 +167,7 @@ def test_weights_of_imagenet_are_those_of_the_package(tmp_path, monkeypatch):
         build_model("efficientnet_lite0,weights=imagenet", 3)
 
 
-@pytest.mark.parametrize(("frozen", "last"), [(0, -1), (2, 2), (5, 15)])
+@pytest.mark.parametrize(("frozen", "last"), [(0, -1), (2, 2)])
 def test_frozen_layers_are_not_trained(frozen, last):
     torch.manual_seed(0)
     module = build_model(f"efficientnet_lite0,frozen={frozen}", 3).train()

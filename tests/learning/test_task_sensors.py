@@ -15,7 +15,7 @@ from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.errors import EXIT_BAD_INPUT, InputError
 from pepperscene.learning.tasks import evaluate_sensors
 from pepperscene.learning.tasks.frames import open_task_frames
-from pepperscene.learning.tasks.sensor_task import score_twins, twin_number
+from pepperscene.learning.tasks.sensor_task import twin_number
 
 TWINS = {"twins": {"camera.exposure_us": [50, 60, 70]}, "daylight.illuminance_lx": 5000}
 TEST = range(6, 12)  # the second set of plants, three twins of two views
@@ -77,19 +77,6 @@ def test_iou_of_each_twin_is_that_of_its_frames(folder, tmp_path):
     gap = result.score("mine", "own")["mean"] - result.score("mine", "other")["mean"]
     assert result.score("mine", "gap")["mean"] == pytest.approx(gap)
     assert gap > 0
-
-
-def test_a_method_sees_each_test_image_once(folder):
-    frames = open_task_frames(folder, ("colour", "class"))
-    seen = []
-
-    def segment(index, image):
-        seen.append(index)
-        return image.classes
-
-    scores = score_twins("copy", segment, frames.test, 0)
-    assert seen == list(TEST)
-    assert [score.part for score in scores] == ["own", "other", "gap", "twin 1", "twin 2"]
 
 
 def test_a_baseline_is_trained_once_on_one_twin_of_the_training_plants(folder, tmp_path):

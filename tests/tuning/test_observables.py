@@ -77,11 +77,14 @@ def test_hues_agree_with_hsv():
     assert np.degrees(np.arctan2(pure[:, 1], pure[:, 0])) % 360.0 == pytest.approx([0.0, 120.0, 240.0])
 
 
-def test_grey_has_no_hue():
+def test_grey_has_no_hue_and_equal_pixels_no_spread():
     vectors, _ = hue_vectors(np.full((5, 3), 0.3))
     assert vectors == pytest.approx(np.zeros((5, 2)))
     length = np.linalg.norm(hue_vectors(np.array([[0.3, 0.3, 0.31], [0.3, 0.2, 0.1]]))[0], axis=1)
     assert length[0] < 0.99 < length[1] < 1.0
+    values, derivatives = observables_and_derivatives(np.full((9, 3), 0.3), np.ones((2, 9, 3)))
+    assert values[3:6] == pytest.approx(0.0, abs=1e-9)
+    assert np.isfinite(derivatives).all()
 
 
 def test_derivatives_of_hue_match_finite_differences():
@@ -113,12 +116,6 @@ def test_derivatives_of_observables_match_finite_differences():
         (observables(pixels + h * one) - observables(pixels - h * one)) / (2.0 * h) for one in of_pixels
     ]
     assert derivatives == pytest.approx(np.array(expected).T, rel=1e-5, abs=1e-5)
-
-
-def test_equal_pixels_have_no_spread_and_finite_derivatives():
-    values, derivatives = observables_and_derivatives(np.full((9, 3), 0.3), np.ones((2, 9, 3)))
-    assert values[3:6] == pytest.approx(0.0, abs=1e-9)
-    assert np.isfinite(derivatives).all()
 
 
 def test_standardised_noise_has_mean_0_and_sd_1():

@@ -24,7 +24,7 @@ PIXELS = 24
 
 @pytest.fixture(scope="module")
 def target() -> TuningTarget:
-    return TuningTarget(load_recipe("barth2018"), no_patches(), registered=True, pixels=PIXELS)
+    return TuningTarget(load_recipe("barth2018"), no_patches(), registered=True, organs=2, pixels=PIXELS)
 
 
 def views_of(target, kinds, **changes):
