@@ -84,28 +84,21 @@ def test_the_published_set_has_the_papers_numbers():
     assert fold.test == tuple(range(40, 50))
 
 
-def test_frames_are_spread_evenly_over_scenes_at_varied_views():
-    plan = Plan(sets=6, rotations=2, frames=50)
-    frames = spread_frames(plan, 36)
-    specs = [plan.frame(index) for index in frames]
-    assert np.bincount([spec.scene for spec in specs]).tolist() == [3] * 12
-    assert len({spec.step for spec in specs}) > 20
-    assert spread_frames(plan, 600) == spread_frames(plan, 9999) == tuple(range(600))
-
-
-def test_few_frames_are_of_some_scenes_only():
+def test_frames_are_spread_over_scenes_at_varied_views():
     plan = Plan(sets=40, rotations=1, frames=50)
     specs = [plan.frame(index) for index in spread_frames(plan, 240)]
     numbers = np.bincount([spec.scene for spec in specs], minlength=40)
+    # Few frames are of some scenes only, from the first to the last without a gap of three.
     assert set(numbers.tolist()) == {0, 10}
     assert np.count_nonzero(numbers) == 24
-    # From the first to the last scene, without a gap of three.
     assert np.diff(np.flatnonzero(numbers)).max() <= 3
     assert len({spec.step for spec in specs}) > 40
     # No frame twice, and as many as asked, where scenes have few.
     for count in (3, 19, 21, 100, 119):
         frames = spread_frames(Plan(sets=40, rotations=1, frames=3), count)
         assert len(set(frames)) == len(frames) == count
+    plan = Plan(sets=6, rotations=2, frames=50)
+    assert spread_frames(plan, 600) == spread_frames(plan, 9999) == tuple(range(600))
 
 
 def evaluation(matrices):

@@ -77,11 +77,6 @@ def test_a_description_that_is_nested_without_end_is_one_sentence(write_model, t
         load_model(folder)
 
 
-def test_a_valid_model_file_is_read(write_model, trained):
-    for width in (None, 400):
-        assert load_model(write_model(width=width)).width == width
-
-
 @pytest.mark.parametrize(("key", "value"), [("step", -1), ("step", "a"), ("best", "a"), ("record", [])])
 def test_a_wrong_value_of_a_training_state_is_one_sentence(trained, tmp_path, key, value):
     from pepperscene.learning.training.checkpoint import FORMAT, STATE_FILE, read_state

@@ -132,15 +132,6 @@ def test_rejects_sets_without_labels_of_the_classes(rejects, bands, tmp_path):
     rejects("without: image1 has no mask, which training needs", without, *OPTIONS)
 
 
-def test_rejects_a_folder_that_cannot_be_written(bands, tmp_path):
-    (tmp_path / "file").write_text("")
-    for out in (tmp_path / "file", tmp_path / "file" / "model"):
-        result = CliRunner().invoke(app, ["train", str(bands), "--out", str(out), *OPTIONS])
-        assert result.exit_code == EXIT_BAD_INPUT, result.output
-        assert result.stderr.startswith(f"error: {out}: ")
-        assert result.stderr.count("\n") == 1
-
-
 def test_an_interruption_keeps_the_last_checkpoint(bands, tmp_path):
     """Ctrl-C gives one line, which says how to go on; the resumed training ends as an undisturbed one."""
     out, command = tmp_path / "model", ["train", str(bands), *OPTIONS, "--steps", "200"]
