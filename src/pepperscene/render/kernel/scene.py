@@ -6,6 +6,7 @@ in the JIT variants (mitsuba3 #1017, #1712), and per-face attributes survive mer
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Any, Final
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from pepperscene.geometry import Mesh
 from pepperscene.render.arrays import WORLD, LocalCoordinates, device_array, local_coordinates
+from pepperscene.render.kernel.cells import SurfaceCells, surface_cells
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.surface.textures import choose_texture, texture_count
@@ -120,6 +122,7 @@ class LightScene:
         optics: of its surfaces.
         face_states: `(f * 4,)` pigment states at the three corners of each triangle, and the number of its
             organ: all that a hit needs of the mesh attributes, in one gather.
+        mesh: of the shape, in world coordinates.
         colours: `(v * 4,)` scanned colours of the vertices, and 0; None if no organ has any.
     """
 
@@ -127,7 +130,13 @@ class LightScene:
     shape: Any
     optics: Optics
     face_states: Any
+    mesh: Mesh
     colours: Any | None = None
+
+    @functools.cached_property
+    def cells(self) -> SurfaceCells:
+        """Small places on the surfaces, made when light is first kept there."""
+        return surface_cells(self.mesh)
 
     def interaction(self, ray: Any, hit: Any, active: Any) -> Any:
         """Compute what `hit.compute_surface_interaction(ray, RayFlags.All, active)` does.
@@ -199,7 +208,7 @@ def light_scene(scene: Scene, first_nm: float, last_nm: float) -> LightScene:
     face_states[:, 3] = face_organ
     kernel_scene = mi.load_dict({"type": "scene", "plants": shape})
     colours = None if mesh.colour is None else device_array(np.pad(mesh.colour, ((0, 0), (0, 1))))
-    return LightScene(kernel_scene, shape, optics, device_array(face_states), colours)
+    return LightScene(kernel_scene, shape, optics, device_array(face_states), mesh, colours)
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,6 +119,7 @@ class FrameTables:
         wavelengths: distribution that wavelengths are sampled from.
         electrons_per_joule: spectral table of each channel.
         spectra: spectral tables of the lights.
+        source: spectral table of their sum, each over its mean.
         white: `(c,)` see `SampleVariance`.
         per_white: its inverse, one opaque number for each channel.
         roulette: whether paths may end, and shadow rays choose one of two lights, with a probability that
@@ -137,6 +138,7 @@ class FrameTables:
     wavelengths: Any
     electrons_per_joule: Sequence[Any]
     spectra: LightSpectra
+    source: Any
     white: NDArray[np.float64]
     per_white: Sequence[Any]
     roulette: bool = True
@@ -211,7 +213,18 @@ def frame_tables(
             sun=None if sky is None else sky.sun_irradiance,
             sky=() if sky is None else sky.radiance,
         ),
+        source=device_array(_mean_source(response, sky)),
         white=white,
         per_white=[device_float(1.0 / value) for value in white],
         roulette=roulette,
     )
+
+
+def _mean_source(response: SpectralResponse, sky: SkyTables | None) -> NDArray[np.float64]:
+    """Sum of the lights' spectra, each over its mean; above 0 at all wavelengths."""
+    size = response.grid_nm.size
+    lights = [response.flash]
+    if sky is not None:
+        tables = [*sky.radiance] + ([] if sky.sun_frame is None else [sky.sun_irradiance])
+        lights += [np.asarray(table, float)[:size] for table in tables]
+    return np.sum([light / light.mean() for light in lights if light.any()] or [np.ones(size)], axis=0) + 1e-3

@@ -281,6 +281,7 @@ class SampleWavelengths:
             self.nm[k] = nm
             self.weights[k] = 0.25 / density
         # Spectra are looked up once: under the mask of each hit they would be gathered again and again.
+        self.source = self._lookup(tables.source)
         self.electrons_per_joule = [self._lookup(table) for table in tables.electrons_per_joule]
         self.spectra = LightSpectra(
             flash=None if tables.spectra.flash is None else self._lookup(tables.spectra.flash),

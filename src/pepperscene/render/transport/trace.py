@@ -179,7 +179,8 @@ def frame_light(
     """What `trace_rows` traces: the light of samples in the channels, or in the bands, of a sensor."""
     if response.by_band:
         return BandLight(scene, rays, response, flash, sky, lengths, seed)
-    return ChannelLight(frame_tables(scene, rays, response, flash, sky), lengths, seed)
+    import os
+    return ChannelLight(frame_tables(scene, rays, response, flash, sky), lengths, seed, int(os.environ.get('DIRS','0')) if seed != 77 else 0)
 
 
 def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None)) -> TracedLight:

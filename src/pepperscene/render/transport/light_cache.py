@@ -1,0 +1,89 @@
+"""The light that surfaces send out where the paths of a frame arrive second, kept in cells of a few centimetres.
+
+Most noise of daylight among leaves arises after the second hit: whether a path finds the sky from there. That
+light is nearly the same within a cell (`kernel.cells`), so the paths of a frame share it: some paths are traced
+to their end, and what arrives from their second hits is averaged by cell. All other rays end at their second
+hits with that mean.
+
+What is kept is light over (albedo times light source), so that the place and the wavelengths of a sample keep
+their own: each of a sample's four wavelengths lies in its own quarter of the distribution that they are drawn
+from, and each quarter has its own mean. A mean with few samples is drawn to that of a larger cell: with n
+samples and a weight of k, (sum + k parent) / (n + k).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pepperscene.render.arrays import device_array
+from pepperscene.render.kernel.cells import SurfaceCells
+from pepperscene.render.variant import mitsuba_modules
+
+_PARENT_SAMPLES: Final = 8.0  # chosen: weight of a larger cell's mean
+_WAVELENGTHS: Final = 4
+_TINY: Final = 1e-30
+
+
+@dataclass(frozen=True, eq=False)
+class LightCache:
+    """Light that the sides of cells send out, over their albedo and the light sources.
+
+    Attributes:
+        cells: of the scene.
+        ratios: `(count * 4,)` on the device, by quarter of the wavelengths.
+    """
+
+    cells: SurfaceCells
+    ratios: Any
+
+    def outgoing(self, si: Any, hit: Any, albedo: Any, source: Any, active: Any) -> Any:
+        """Light from surface interactions towards the viewer, at the wavelengths of the samples."""
+        mi, dr = mitsuba_modules()
+        ratio = dr.gather(mi.Spectrum, self.ratios, self.cells.at(si, hit, active), active)
+        return ratio * albedo * source
+
+
+def light_cache(
+    cells: SurfaceCells, side: NDArray[np.uint32], light: NDArray[np.float32], expected: NDArray[np.float32]
+) -> LightCache:
+    """Average the samples of each side of a cell.
+
+    Sums are taken one sample after the other, so that they have the same bits in each run.
+
+    Args:
+        cells: of the scene.
+        side: `(n,)` sides that samples come from.
+        light: `(4, n)` light at the wavelengths of the samples.
+        expected: `(4, n)` albedo times light source there.
+    """
+    # The sums of each level, from the cells up.
+    number, front = np.divmod(side.astype(np.intp), 2)
+    sums = []
+    counts = [cells.count] + [int(parent.max()) + 1 for parent in cells.parents]
+    for level, count in enumerate(counts):
+        if level:
+            number = cells.parents[level - 1][number]
+        index = 2 * number + front
+        sums.append([_sums_by(index, part, 2 * count) for part in (light, expected)])
+    # The means, from the whole scene down.
+    total = np.maximum(expected.sum(axis=1, dtype=np.float64), _TINY)
+    weight = (_PARENT_SAMPLES * total / max(len(side), 1)).astype(np.float32)
+    ratio = np.broadcast_to((light.sum(axis=1, dtype=np.float64) / total).astype(np.float32), (1, 4))
+    for level in range(len(counts) - 1, -1, -1):
+        if level < len(counts) - 1:
+            ratio = ratio.reshape(-1, 2, 4)[cells.parents[level]].reshape(-1, 4)
+        light_sum, expected_sum = sums[level]
+        ratio = (light_sum + weight * ratio) / (expected_sum + weight)
+    return LightCache(cells, device_array(ratio))
+
+
+def _sums_by(index: NDArray[np.intp], values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    """`(count, 4)` sums of `(4, n)` values by their index."""
+    sums = np.empty((count, _WAVELENGTHS), np.float32)
+    for k, row in enumerate(values):
+        sums[:, k] = np.bincount(index, row, count)
+    return sums
