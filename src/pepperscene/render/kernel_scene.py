@@ -105,6 +105,7 @@ class KernelScene:
                 sky if part is None or part.has_daylight else None,
                 (quality.bounces, quality.most_bounces),
                 int(stream.generate_state(1)[0]),
+                quality.gathering(camera.width * camera.height),
             )
             lights.append(LightPart(light, None if part is None else part.share))
         return trace_in_strips(camera, quality, lights, is_divided=bool(parts))

@@ -36,8 +36,8 @@ class SurfaceCells:
     Attributes:
         faces: `(f,)` on the device: first cell of a face, and log2 of the divisions of its edges.
         count: number of cells.
-        parents: from the cells to those of `_JOINED_M[0]` of the same organ, from these to those of all organs,
-            and from these to those of `_JOINED_M[1]`: numbers of the larger cells.
+        parents: numbers of the larger cells: for each cell that of `_JOINED_M[0]` in its organ, for each of these
+            that of all organs, and for each of these that of `_JOINED_M[1]`.
     """
 
     faces: Any

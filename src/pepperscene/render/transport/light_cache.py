@@ -1,9 +1,9 @@
-"""The light that surfaces send out where the paths of a frame arrive second, kept in cells of a few centimetres.
+"""The light that surfaces send out at the second hits of a frame's paths, kept in cells of a few centimetres.
 
 Most noise of daylight among leaves arises after the second hit: whether a path finds the sky from there. That
-light is nearly the same within a cell (`kernel.cells`), so the paths of a frame share it: some paths are traced
-to their end, and what arrives from their second hits is averaged by cell. All other rays end at their second
-hits with that mean.
+light is nearly the same within a cell (`kernel.cells`), so the paths of a frame share it: some paths are
+traced to their end, and what arrives from their second hits is averaged by cell. All other rays end at their
+second hits with that mean.
 
 What is kept is light over (albedo times light source), so that the place and the wavelengths of a sample keep
 their own: each of a sample's four wavelengths lies in its own quarter of the distribution that they are drawn
@@ -40,11 +40,11 @@ class LightCache:
     cells: SurfaceCells
     ratios: Any
 
-    def outgoing(self, si: Any, hit: Any, albedo: Any, source: Any, active: Any) -> Any:
-        """Light from surface interactions towards the viewer, at the wavelengths of the samples."""
+    def outgoing(self, si: Any, hit: Any, expected: Any, active: Any) -> Any:
+        """Light from surface interactions towards the viewer; `expected` as of `light_cache`."""
         mi, dr = mitsuba_modules()
         ratio = dr.gather(mi.Spectrum, self.ratios, self.cells.at(si, hit, active), active)
-        return ratio * albedo * source
+        return ratio * expected
 
 
 def light_cache(

@@ -24,6 +24,7 @@ from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.transport.accumulate import Counts, SampleAccumulator, SampleVariance, TracedLight
 from pepperscene.render.transport.band_light import BandLight
 from pepperscene.render.transport.channel_light import ChannelLight
+from pepperscene.render.transport.gathering import Gathering
 from pepperscene.render.transport.lights import frame_tables
 
 
@@ -175,12 +176,15 @@ def frame_light(
     sky: SkyTables | None,
     lengths: tuple[int, int],
     seed: int,
+    gathering: Gathering | None = None,
 ) -> FrameLight:
-    """What `trace_rows` traces: the light of samples in the channels, or in the bands, of a sensor."""
+    """What `trace_rows` traces: the light of samples in the channels, or in the bands, of a sensor.
+
+    Bands are traced along paths, with or without `gathering`.
+    """
     if response.by_band:
         return BandLight(scene, rays, response, flash, sky, lengths, seed)
-    import os
-    return ChannelLight(frame_tables(scene, rays, response, flash, sky), lengths, seed, int(os.environ.get('DIRS','0')) if seed != 77 else 0)
+    return ChannelLight(frame_tables(scene, rays, response, flash, sky), lengths, seed, gathering)
 
 
 def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None)) -> TracedLight:

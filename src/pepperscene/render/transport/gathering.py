@@ -1,0 +1,122 @@
+"""Indirect light from rays in several directions that end at their second hits.
+
+Among leaves by daylight, nine tenths of the noise of scattered light arise after the second hit. So a part of
+the paths are traced to their ends and fill a `LightCache`; the other rays take the light at their second hits
+from there. For the time of a path, two rays then find the sky or a lit leaf.
+
+Where this differs from paths: the light of a cell of 3 cm is taken as even, over its area and over
+directions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from pepperscene.interrupts import raise_if_interrupted
+from pepperscene.render.arrays import device_uint
+from pepperscene.render.transport.channel_paths import first_point, scattered_light
+from pepperscene.render.transport.light_cache import LightCache, light_cache
+from pepperscene.render.transport.lights import FrameTables
+from pepperscene.render.transport.samples import Samples, SampleWavelengths
+from pepperscene.render.variant import mitsuba_modules
+
+_LANES: Final = 1 << 20  # largest wavefront, as of other passes
+_SALT: Final = 0x5BD1E995  # chosen: the paths have other random numbers than the frame's samples
+
+
+@dataclass(frozen=True)
+class Gathering:
+    """How the indirect light of a frame is gathered.
+
+    Attributes:
+        directions: rays from the first hit of each sample.
+        paths: about how many fill the cache, over all of the image.
+    """
+
+    directions: int
+    paths: int
+
+
+def gathered_light(
+    tables: FrameTables,
+    samples: Samples,
+    wavelengths: SampleWavelengths,
+    at_hit: tuple[Any, Any, Any],
+    cache: LightCache,
+    directions: int,
+) -> Any:
+    """Light that first hits scatter, from the sky and from the cached light of second hits.
+
+    `at_hit` are interactions, optical states, and which samples are active.
+    """
+    mi, dr = mitsuba_modules()
+    si, point, active = at_hit
+    light, lobe = mi.Spectrum(0.0), samples.next_1d()
+    for k in range(directions):
+        # The directions divide the lobes among them.
+        wo, density, weight, _ = point.sample((lobe + k) / directions, samples.next_2d())
+        going = active & (density > 0.0) & dr.any(weight > 0.0)
+        weight = dr.select(going, weight / directions, 0.0)
+        ray = si.spawn_ray(si.to_world(wo))
+        ray.wavelengths = wavelengths.nm
+        is_hit, second, hit = tables.scene.intersect(ray, going)
+        light += weight * samples.sky_radiance(ray.d, going & ~is_hit, wavelengths.spectra, with_sun=False)
+        is_hit &= going
+        albedo = tables.scene.surface_point(second, hit, is_hit, footprint=None).albedo()
+        light += weight * cache.outgoing(second, hit, albedo * wavelengths.source, is_hit)
+    return light
+
+
+def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, paths: int) -> LightCache:
+    """Trace paths through all of an image, and keep the light that arrives from their second hits.
+
+    Args:
+        tables: of the frame.
+        lengths: `bounces` and `most_bounces` of `Sampling`.
+        seed: of the frame's samples.
+        paths: about how many.
+    """
+    mi, dr = mitsuba_modules()
+    cells, pixels = tables.scene.cells, tables.rays.width * tables.rays.height
+    step = max(-(-pixels // min(paths, _LANES)), 1)
+    arrived = []
+    for index in range(max(paths // pixels, 1)):
+        raise_if_interrupted()
+        pixel = dr.arange(mi.UInt32, -(-pixels // step)) * device_uint(step)
+        samples = Samples(tables, pixel, device_uint(index), device_uint((seed ^ _SALT) & 0xFFFFFFFF))
+        values = _second_light(tables, samples, lengths)
+        dr.eval(values)
+        is_hit = np.asarray(values[0]) < 2 * cells.count
+        arrived.append([np.asarray(part)[..., is_hit] for part in values])
+    return light_cache(cells, *(np.concatenate(parts, axis=-1) for parts in zip(*arrived, strict=True)))
+
+
+def _second_light(tables: FrameTables, samples: Samples, lengths: tuple[int, int]) -> tuple[Any, Any, Any]:
+    """Sides of cells at second hits, light that leaves them, and albedo times light source there.
+
+    The side is beyond the last one without a second hit. No path ends by Russian roulette before it:
+    survivors would count for too much.
+    """
+    mi, dr = mitsuba_modules()
+    active, si, hit = tables.scene.intersect(samples.ray, coherent=True)
+    wavelengths, si, point, _ = first_point(tables, samples, active, si, hit)
+    wo, density, weight, _ = point.sample(samples.next_1d(), samples.next_2d())
+    active &= (density > 0.0) & dr.any(weight > 0.0)
+    ray = si.spawn_ray(si.to_world(wo))
+    ray.wavelengths = wavelengths.nm
+    is_hit, si, hit = tables.scene.intersect(ray, active)
+    active = active & is_hit
+    point = tables.scene.surface_point(si, hit, active, footprint=None)
+    cells = tables.scene.cells
+    side = dr.select(active, cells.at(si, hit, active), mi.UInt32(2 * cells.count))
+    light = samples.flash_and_sun_light(si, point, active, wavelengths.spectra)
+    bounces, most = lengths
+    for part in scattered_light(
+        tables, samples, wavelengths, (si, point, active), range(1, bounces + 1), most
+    ):
+        light += part
+    expected = point.albedo() * wavelengths.source
+    return side, dr.select(active, light, 0.0), dr.select(active, expected, 0.0)
