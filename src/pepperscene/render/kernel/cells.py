@@ -36,8 +36,8 @@ class SurfaceCells:
     Attributes:
         faces: `(f,)` on the device: first cell of a face, and log2 of the divisions of its edges.
         count: number of cells.
-        parents: numbers of the larger cells: for each cell that of `_JOINED_M[0]` in its organ, for each of these
-            that of all organs, and for each of these that of `_JOINED_M[1]`.
+        parents: numbers of the larger cells: for each cell that of `_JOINED_M[0]` in its organ, for each of
+            these that of all organs, and for each of these that of `_JOINED_M[1]`.
     """
 
     faces: Any
