@@ -92,6 +92,8 @@ class KernelScene:
         grid, lights = response.grid_nm, []
         light_scene, sky = self.light_scene(float(grid[0]), float(grid[-1])), sky_tables(scene, grid)
         quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
+        if response.by_band:
+            quality = dataclasses.replace(quality, directions=0)  # bands are traced along paths
         together: list[ExposurePart | None] = [None]
         streams, still = sampling.spawn(len(parts)) if parts else [sampling], self.rays(camera)
         for part, stream in zip(parts or together, streams, strict=True):

@@ -138,6 +138,10 @@ class SampleAccumulator:
         """`(h, w, c)` mean of all light."""
         return self._image(self._direct_mean() + self._indirect_mean())
 
+    def indirect(self) -> Images:
+        """`(h, w, c)` mean of indirect light."""
+        return self._image(self._indirect_mean())
+
     def indirect_share(self) -> float:
         """Indirect light as part of all light; see `indirect_share`."""
         return indirect_share(self._indirect_mean(), self._direct_mean())
@@ -162,7 +166,7 @@ class SampleAccumulator:
         return TracedLight(
             flash=self._image(self._direct[:c] * per_sample),
             sky_and_sun=self._image(self._direct[c : 2 * c] * per_sample),
-            indirect=self._image(self._indirect_mean()),
+            indirect=self.indirect(),
             albedo=self._image(self._direct[2 * c : albedo_end] * per_sample),
             normal=self._image(self._direct[albedo_end : albedo_end + 3] * per_sample),
             coverage=self._image(np.stack([hit, indirect_hit])),

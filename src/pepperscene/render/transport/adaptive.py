@@ -141,6 +141,11 @@ _DENOISED_ERRORS: Final = (0.15, 0.19)
 light; chosen: constant outside of these shares, linear between. Measured for 2 to 16 samples: .13 to .17 in
 two frames of `barth2018` by flash (share .04); .17 to .20 in two of `greenhouse` (.6) and one of `randomised`
 (.4) by daylight, where fine shadows in the light of the sky are lost."""
+_GATHERED_ERROR: Final = 0.19
+_GATHERED_BIAS: Final = 0.065
+"""The same for gathered light (`transport.gathering`), and what the denoiser loses of it however many
+samples there are, as a fraction of the light. From 4 and 8 samples of frame 0 of `greenhouse` with stray
+light: .24 and .09 at 400x300 pixels, times the ratio of that size's errors to those at 800x600."""
 _INDIRECT_COST: Final = 18.0
 """Time of a sample of indirect light over that of a further one of direct light; measured: 15 to 23."""
 _BALANCE_STEPS: Final = 3  # chosen: the next step would change the number of samples by some per cent
@@ -159,6 +164,7 @@ class AdaptiveSampler:
         target: error over noise, root mean square in codes; None for a fixed number of samples.
         max_samples: per pixel.
         denoised: whether indirect light will be denoised.
+        gathered: whether indirect light is gathered in several directions, and will be denoised.
         rows: of the image, the only ones whose error is compared with the noise; all by default.
     """
 
@@ -169,10 +175,11 @@ class AdaptiveSampler:
         max_samples: int,
         *,
         denoised: bool,
+        gathered: bool = False,
         rows: slice = slice(None),
     ) -> None:
         self.camera, self.target, self.max_samples = camera, target, max_samples
-        self._denoised, self._rows = denoised, rows
+        self._denoised, self._gathered, self._rows = denoised, gathered, rows
         self._codes: CodeResponse | None = None
 
     def required(self, accumulator: SampleAccumulator) -> NDArray[np.int32]:
@@ -186,6 +193,9 @@ class AdaptiveSampler:
         # Direct light may have the error that indirect light leaves of the target, at least half of it.
         remaining = float(np.mean(indirect)) * self._indirect_factor(accumulator.indirect_share())
         remaining /= accumulator.indirect_samples
+        if self._gathered:
+            lost = codes.squared(_lost_square(accumulator.indirect(), accumulator.white), _MAX_ERROR)
+            remaining += float(np.mean(lost))
         allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
         left = max(allowed - remaining, 0.5 * allowed)
         wanted = self._distribute(direct.ravel(), left)
@@ -211,6 +221,8 @@ class AdaptiveSampler:
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
         factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
         of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
+        if self._gathered:
+            of_mean += _lost_square(light.indirect, variance.white)
         # Both in codes of the image, where their mean squares are compared.
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         return SamplingError(
@@ -224,6 +236,8 @@ class AdaptiveSampler:
 
     def _indirect_factor(self, share: float) -> float:
         """Fraction of the variance of indirect light that remains; `share` is its part of all light."""
+        if self._gathered:
+            return _GATHERED_ERROR**2
         return denoised_error(share) ** 2 if self._denoised else 1.0
 
     def _code_response(self, signal: Callable[[], Floats], white: NDArray[np.float64]) -> CodeResponse:
@@ -316,6 +330,11 @@ def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float
         is_enough = np.mean(VARIANCE_GAIN * variance * samples**-1.5) <= allowed
         low, high = (low, middle) if is_enough else (middle, high)
     return float(np.exp2(high))
+
+
+def _lost_square(indirect: Floats, white: NDArray[np.float64]) -> Floats:
+    """`(h, w)` square of what the denoiser loses of gathered light `(h, w, c)`, in units of white."""
+    return np.asarray(np.square(indirect * (_GATHERED_BIAS / white).astype(np.float32)).sum(axis=-1))
 
 
 def _local_mean(variance: Floats) -> Floats:

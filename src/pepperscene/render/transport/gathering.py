@@ -66,7 +66,9 @@ def gathered_light(
         light += weight * samples.sky_radiance(ray.d, going & ~is_hit, wavelengths.spectra, with_sun=False)
         is_hit &= going
         albedo = tables.scene.surface_point(second, hit, is_hit, footprint=None).albedo()
-        light += weight * cache.outgoing(second, hit, albedo * wavelengths.source, is_hit)
+        # Albedos of inactive lanes can be NaN, and 0 times NaN is NaN.
+        expected = dr.select(is_hit, albedo * wavelengths.source, 0.0)
+        light += weight * cache.outgoing(second, hit, expected, is_hit)
     return light
 
 

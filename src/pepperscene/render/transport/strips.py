@@ -93,10 +93,22 @@ def trace_in_strips(
     finishers = [_finisher(part, quality, camera, strips) for part in parts]
     signal = np.empty((camera.height, camera.width, camera.sensor.channels), np.float32)
     errors = []
+
+    def sampler(target: float | None, rows: slice) -> AdaptiveSampler:
+        kind = {"denoised": quality.denoise, "gathered": quality.denoise and quality.directions > 0}
+        return AdaptiveSampler(camera, target, quality.most, **kind, rows=rows)
+
     for rows in strips:
         lights = []
         for number, (part, finish) in enumerate(zip(parts, finishers, strict=True)):
-            adaptive = AdaptiveSampler(camera, target, quality.most, denoised=quality.denoise, rows=rows)
+            adaptive = AdaptiveSampler(
+                camera,
+                target,
+                quality.most,
+                denoised=quality.denoise,
+                gathered=quality.directions > 0,
+                rows=rows,
+            )
             lights.append(part.light(quality, rows, adaptive))
             for finished, image in finish(rows, lights[-1]):
                 if number:
@@ -104,7 +116,14 @@ def trace_in_strips(
                 else:
                     signal[finished] = image
         if is_divided:
-            whole = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise, rows=rows)
+            whole = AdaptiveSampler(
+                camera,
+                quality.target,
+                quality.most,
+                denoised=quality.denoise,
+                gathered=quality.directions > 0,
+                rows=rows,
+            )
             errors.append(whole.error(sum_of_parts(lights)))
         else:
             errors.append(adaptive.error(lights[-1]))

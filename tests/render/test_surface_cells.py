@@ -1,0 +1,85 @@
+"""Cells of surfaces against their definition in NumPy, and their means against sums written out."""
+
+import numpy as np
+import pytest
+import trimesh
+from bodies import body
+
+from pepperscene.geometry import Mesh, concatenate_meshes
+from pepperscene.render.kernel.cells import CELL_M, SurfaceCells, surface_cells
+from pepperscene.render.transport.light_cache import light_cache
+
+BITS = 28
+
+
+def small_triangles(count: int, seed: int) -> Mesh:
+    rng = np.random.default_rng(seed)
+    centres = rng.uniform(-0.4, 0.4, (count, 1, 3))
+    corners = centres + rng.uniform(-0.01, 0.01, (count, 3, 3))
+    return body(
+        trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), process=False), "m"
+    )
+
+
+def partition(numbers: np.ndarray) -> set[frozenset[int]]:
+    return {frozenset(np.flatnonzero(numbers == number).tolist()) for number in np.unique(numbers)}
+
+
+def test_small_triangles_share_cells_by_organ_and_cube():
+    mesh = concatenate_meshes([small_triangles(400, 1), small_triangles(300, 2)])
+    cells = surface_cells(mesh)
+    entries = np.asarray(cells.faces)
+    centre = mesh.vertices[mesh.faces].mean(axis=1)
+    organ = mesh.face_instance[:, None]
+
+    def expected(edge: float, group: np.ndarray) -> set[frozenset[int]]:
+        keys = np.column_stack([group, np.floor(centre / edge)])
+        return partition(np.unique(keys, axis=0, return_inverse=True)[1].ravel())
+
+    levels = [entries]
+    for parent in cells.parents:
+        levels.append(parent[levels[-1]])
+    assert partition(levels[0]) == expected(CELL_M, organ)
+    assert cells.count == len(np.unique(entries)) == entries.max() + 1
+    for level, edge, group in zip(levels[1:], (0.15, 0.15, 0.45), (organ, 0 * organ, 0 * organ), strict=True):
+        assert partition(level) == expected(edge, group)
+
+
+def test_large_triangles_are_divided_evenly():
+    corners = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    mesh = concatenate_meshes([small_triangles(5, 1), body(trimesh.Trimesh(corners, [[0, 1, 2]]), "m")])
+    cells = surface_cells(mesh)
+    entry = int(np.asarray(cells.faces)[-1])
+    parts = 1 << (entry >> BITS)
+    assert 4.0 / parts**2 <= 0.02 < 4.0 / (parts / 2) ** 2
+    assert (entry & ((1 << BITS) - 1)) + parts**2 == cells.count
+
+
+def test_means_are_drawn_to_those_of_larger_cells():
+    """Two cells in one larger cell of an organ, and a third in another."""
+    parents = (np.array([0, 0, 1]), np.array([0, 1]), np.array([0, 0]))
+    light = np.array([[4.0, 2.0, 1.0]] * 4, np.float32)
+    expected = np.array([[2.0, 2.0, 2.0]] * 4, np.float32)
+    # Samples: two on the front of cell 0, one on the back of cell 2.
+    cache = light_cache(SurfaceCells(None, 3, parents), np.array([0, 0, 5], np.uint32), light, expected)
+    ratios = np.asarray(cache.ratios).reshape(3, 2, 4)[..., 0]
+
+    def shrunk(light: float, expected: float, parent: float) -> float:
+        weight = 8 * 2.0
+        return (light + weight * parent) / (expected + weight)
+
+    scene = 7.0 / 6.0
+    front = shrunk(6.0, 4.0, shrunk(6.0, 4.0, shrunk(6.0, 4.0, scene)))
+    assert ratios[0, 0] == pytest.approx(shrunk(6.0, 4.0, front))
+    assert ratios[1, 0] == pytest.approx(front)
+    back = shrunk(1.0, 2.0, scene)
+    assert ratios[2, 1] == pytest.approx(shrunk(1.0, 2.0, shrunk(1.0, 2.0, shrunk(1.0, 2.0, back))))
+    assert ratios[0, 1] == pytest.approx(back)
+    assert np.asarray(cache.ratios).reshape(-1, 4).std(axis=1) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_without_samples_all_cells_are_black():
+    parents = (np.array([0]), np.array([0]), np.array([0]))
+    empty = np.zeros((4, 0), np.float32)
+    cache = light_cache(SurfaceCells(None, 1, parents), np.zeros(0, np.uint32), empty, empty)
+    assert not np.asarray(cache.ratios).any()
