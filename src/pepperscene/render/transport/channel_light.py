@@ -85,9 +85,10 @@ def _all_light(tables: FrameTables, samples: Samples, indirect: Callable[..., li
 
 def total_light(tables: FrameTables, samples: Samples, bounces: int) -> list[Any]:
     """The sum of all light: c values, and nothing that their derivatives do not need."""
-    first_hit, c = tables.scene.intersect(samples.ray, coherent=True), tables.channels
-    direct = _direct(tables, samples, *first_hit)[: 2 * c]
-    indirect = _indirect(tables, samples, *first_hit, (bounces, 0))
+    c = tables.channels
+    active, si, hit = tables.scene.intersect(samples.ray, coherent=True)
+    direct = _direct(tables, samples, active, si, hit)[: 2 * c]
+    indirect = _indirect(tables, samples, active, si, hit, (bounces, 0))
     return [direct[k] + direct[c + k] + indirect[k] for k in range(c)]
 
 
