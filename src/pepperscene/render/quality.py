@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 from pepperscene.errors import ArgumentError
-from pepperscene.render.transport.gathering import Gathering
 
 MIN_TARGET: Final = 0.01
 MAX_TARGET: Final = 10.0
@@ -16,6 +15,19 @@ MAX_TARGET: Final = 10.0
 
 Integrator = Literal["flash", "path"]
 Sampler = Literal["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
+
+
+@dataclass(frozen=True)
+class Gathering:
+    """How the indirect light of a frame is gathered.
+
+    Attributes:
+        directions: rays from the first hit of each sample.
+        paths: about how many fill the cache, over all of the image.
+    """
+
+    directions: int
+    paths: int
 
 
 @dataclass(frozen=True)

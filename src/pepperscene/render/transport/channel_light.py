@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.render.quality import Gathering
 from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums, sum_samples
 from pepperscene.render.transport.channel_paths import first_point, scattered_light
-from pepperscene.render.transport.gathering import Gathering, fill_cache, gathered_light
+from pepperscene.render.transport.gathering import fill_cache, gathered_light
 from pepperscene.render.transport.light_cache import LightCache
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths

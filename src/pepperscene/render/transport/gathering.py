@@ -10,7 +10,6 @@ directions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -25,19 +24,6 @@ from pepperscene.render.variant import mitsuba_modules
 
 _LANES: Final = 1 << 20  # largest wavefront, as of other passes
 _SALT: Final = 0x5BD1E995  # chosen: the paths have other random numbers than the frame's samples
-
-
-@dataclass(frozen=True)
-class Gathering:
-    """How the indirect light of a frame is gathered.
-
-    Attributes:
-        directions: rays from the first hit of each sample.
-        paths: about how many fill the cache, over all of the image.
-    """
-
-    directions: int
-    paths: int
 
 
 def gathered_light(

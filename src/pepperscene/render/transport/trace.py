@@ -21,10 +21,10 @@ from pepperscene.camera import Camera, Flash
 from pepperscene.camera.sensor.rows import RowWindows
 from pepperscene.render.kernel.camera import CameraRays, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
+from pepperscene.render.quality import Gathering
 from pepperscene.render.transport.accumulate import Counts, SampleAccumulator, SampleVariance, TracedLight
 from pepperscene.render.transport.band_light import BandLight
 from pepperscene.render.transport.channel_light import ChannelLight
-from pepperscene.render.transport.gathering import Gathering
 from pepperscene.render.transport.lights import frame_tables
 
 
