@@ -201,7 +201,7 @@ def test_labels_trace_no_light(scene, calls):
     [
         (["albedo"], ["first_hits", "instance_ids", "light_scene"]),
         (["chlorophyll", "leaf_age"], ["first_hits", "instance_ids", "truth_scene"]),
-        (["distance"], ["first_hits", "truth_scene"]),
+        (["distance"], ["first_hits", "instance_ids", "truth_scene"]),
         (["colour"], ["denoised", "develop", "light_scene", "sky_tables", "trace_rows"]),
         (["colour_stereo"], ["denoised", "develop", "light_scene", "sky_tables", "trace_rows"]),
     ],
