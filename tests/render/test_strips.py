@@ -196,7 +196,7 @@ def test_without_noise_strips_of_bands_are_measured_as_the_image(plants, in_stri
 @pytest.mark.parametrize("count", [5, 20])
 def test_denoised_strips_of_bands_show_no_seams(plants, in_strips, count):
     # Above twelve bands, the filter takes means over bands, and their factors come from neighbourhoods.
-    view, quality = banded(count, 128, 120), replace(FIXED, denoise=True)
+    view, quality = banded(count, 160, 150), replace(FIXED, denoise=True)
 
     def render():
         return plants.render(view, ["electrons"], quality, 3)["electrons"]

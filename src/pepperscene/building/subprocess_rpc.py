@@ -89,8 +89,12 @@ class WorkerProcess:
 
     def call(self, request: Any) -> Any:
         """Send a request and wait for its reply; raises `OSError` or `EOFError` if the worker has ended."""
-        self.send(request)
-        return self.receive()
+        try:
+            self.send(request)
+            return self.receive()
+        except (ValueError, pickle.UnpicklingError) as error:
+            # Another thread closed the pipe, or its last message is cut off.
+            raise EOFError("the worker has ended") from error
 
     def __iter__(self) -> Iterator[Any]:
         with suppress(EOFError):
