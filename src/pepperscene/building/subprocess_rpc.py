@@ -76,7 +76,11 @@ class WorkerProcess:
         stdin = self._process.stdin
         if stdin is None or stdin.closed:
             raise BrokenPipeError
-        _send(stdin, message)
+        try:
+            _send(stdin, message)
+        except ValueError:
+            # Another thread has closed the pipe meanwhile.
+            raise BrokenPipeError from None
 
     def receive(self) -> Any:
         """Wait for the next reply; raises `EOFError` if the worker has ended."""
@@ -89,12 +93,8 @@ class WorkerProcess:
 
     def call(self, request: Any) -> Any:
         """Send a request and wait for its reply; raises `OSError` or `EOFError` if the worker has ended."""
-        try:
-            self.send(request)
-            return self.receive()
-        except (ValueError, pickle.UnpicklingError) as error:
-            # Another thread closed the pipe, or its last message is cut off.
-            raise EOFError("the worker has ended") from error
+        self.send(request)
+        return self.receive()
 
     def __iter__(self) -> Iterator[Any]:
         with suppress(EOFError):
