@@ -43,8 +43,7 @@ def fitted(command, green, tmp_path_factory):
     """A fit that starts from a wrong cultivar, and the folder of its files."""
     folder = tmp_path_factory.mktemp("tuned")
     wrong = ("--set", f"cultivar={write_paler_cultivar(folder)}", "--set", "camera.gain=2")
-    files = ("--patches", green, "--patches", green)
-    result = command("tune", "demo", *files, *FIT, *wrong, "--out", folder / "out")
+    result = command("tune", "demo", "--patches", green, *FIT, *wrong, "--out", folder / "out")
     assert result.exit_code == 0, result.stderr
     return result, folder
 
@@ -85,22 +84,34 @@ def test_fit_is_printed_and_written(fitted):
     ]
 
 
+def test_tuned_fruit_has_the_chlorophyll_of_the_measured_one(fitted):
+    _, folder = fitted
+    start = load_recipe_cultivar(load_recipe(folder / "out" / "demo_tuned.toml")).pigments["fruit"].start
+    # The contents were fitted to the same spectrum by another method, all pigments together.
+    assert start.chlorophyll_ug_cm2 == pytest.approx(MEASURED["chlorophyll_ug_cm2"], rel=0.15)
+
+
 def test_written_recipe_has_manual_changes_as_well(fitted):
     _, folder = fitted
     content = tomllib.loads((folder / "out" / "demo_tuned.toml").read_text())
     assert content == {
         "extends": "demo", "name": "demo_tuned", "cultivar": "paler_tuned.toml", "camera": {"gain": 2}
     }  # fmt: skip
-    start = load_recipe_cultivar(load_recipe(folder / "out" / "demo_tuned.toml")).pigments["fruit"].start
-    # The contents were fitted to the same spectrum by another method, all pigments together.
-    assert start.chlorophyll_ug_cm2 == pytest.approx(MEASURED["chlorophyll_ug_cm2"], rel=0.15)
-    record = json.loads((folder / "out" / "tuning.json").read_text())
-    # The patches of both files are used.
-    assert len(record["patches"]["members"]) == len(record["spectra"]) == 2
-    options = record["options"]
+    options = json.loads((folder / "out" / "tuning.json").read_text())["options"]
     assert options["fit"] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
     assert options["starts"] == 1
     assert "camera.gain=2" in options["set"]
+
+
+def test_patches_of_several_files_are_merged_and_json_is_the_only_output(command, green, tmp_path):
+    files = ("--patches", green, "--patches", green)
+    result = command("tune", "demo", *files, *FIT, "--out", tmp_path / "out", "--json")
+    assert result.exit_code == 0, result.stderr
+    assert result.stderr == ""
+    record = json.loads(result.stdout)
+    assert len(record["patches"]["members"]) == len(record["spectra"]) == 2
+    assert [one["name"] for one in record["parameters"]] == ["fruit.unripe.chlorophyll", "fruit.unripe.brown"]
+    assert record["files"][0] == str(tmp_path / "out" / "demo_tuned.toml")
 
 
 def test_help_lists_the_parameters(command):
@@ -117,8 +128,10 @@ def test_help_lists_the_parameters(command):
     ("change", "message"),
     [
         ({"--fit": "leaf.chlorophyl"}, "closest are leaf.chlorophyll"),
+        ({"--fit": ","}, "--fit: needs at least one"),
         ({"--fit": "flash.power", "--set": "camera.flash=none"}, "flash"),
         ({"--patches": "nowhere.toml"}, "nowhere.toml"),
+        ({"--patches": None}, "--patches: is required"),
         ({"--bounds": "nowhere.toml"}, "nowhere.toml"),
         ({"--hold-out": "img9"}, "--hold-out: no patch is of a picture 'img9'"),
         ({"--labels": "barth2018"}, "--labels: applies only to a folder"),
@@ -127,7 +140,7 @@ def test_help_lists_the_parameters(command):
 )
 def test_errors_give_one_line_and_write_nothing(change, message, rejects, green, tmp_path):
     options = {"--fit": FIT[1], "--patches": str(green), "--out": str(tmp_path / "out")} | change
-    arguments = [part for pair in options.items() for part in pair]
+    arguments = [part for name, value in options.items() if value is not None for part in (name, value)]
     more = ("--set", "developing.white_balance=daylight") if "--set" in options else ()
     rejects(message, "tune", "demo", *arguments, *more)
     assert not (tmp_path / "out").exists()
