@@ -61,9 +61,10 @@ def check_round(folder, builds=BUILDS):
             assert row[f"{name}_sha256"], f"{name} of frame {row['index']} is lost"
 
 
-@pytest.mark.slow
 def test_two_builds_of_one_folder(tmp_path):
-    check_round(tmp_path / "set", (BUILDS[1], BUILDS[2]))
+    # From both ends, so that they meet, and each has frames and outputs of the other's.
+    builds = (range(24), "colour,class"), (range(23, -1, -1), "class,instance,distance,colour")
+    check_round(tmp_path / "set", builds)
 
 
 @pytest.mark.long

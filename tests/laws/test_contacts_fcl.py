@@ -152,7 +152,7 @@ def kaite() -> Cultivar:
 
 @pytest.fixture(scope="module")
 def plants(kaite: Cultivar) -> list[Mesh]:
-    return [unresolved(kaite, seed) for seed in range(50, 52)]
+    return [unresolved(kaite, seed) for seed in range(50, 54)]
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,8 @@ def row(kaite: Cultivar) -> Mesh:
 @pytest.mark.parametrize(
     ("name", "plants", "min_fruit", "tolerated"),
     [
-        ("kaite", 3, 30, 0),
+        ("kaite", 4, 50, 0),
+        pytest.param("kaite", 22, 300, 0, marks=pytest.mark.long),
         pytest.param("red_blocky", 2, 25, 1, marks=pytest.mark.long),
         pytest.param("orange_pointed", 2, 25, 1, marks=pytest.mark.long),
         pytest.param("tomato", 2, 25, 1, marks=pytest.mark.long),
@@ -190,7 +191,7 @@ def test_detected_contacts_equal_those_of_fcl(plants: list[Mesh]) -> None:
     more that FCL cannot detect, as it tests surfaces only; 2 missed, by less than .2 mm.
     """
     common = disputed = 0
-    for mesh in plants:
+    for mesh in [*plants, unresolved(load_cultivar("tomato"), 0)]:
         pairs = ContactDetector(mesh).fruit_pairs()
         ours: dict[tuple[int, int], float] = {}
         for fruit, other, depth in zip(*map(np.ndarray.tolist, vars(pairs).values()), strict=True):
@@ -205,8 +206,8 @@ def test_detected_contacts_equal_those_of_fcl(plants: list[Mesh]) -> None:
                 # Near the surface either may be right; deeper, FCL misses organs that are completely inside.
                 disputed += abs(depth) < 1e-3
                 assert abs(depth) < 1e-3 or is_inside(mesh, *pair)
-    assert common > 30
-    assert disputed <= 1 + 0.02 * common
+    assert common > 150
+    assert disputed < 0.02 * common
 
 
 def is_inside(mesh: Mesh, fruit: int, other: int) -> bool:

@@ -1,10 +1,15 @@
 """White furnace: in uniform light no surface sends out more than it receives, and a lossless one as much.
 
-The directional albedo is measured by the BSDF's own sampling and by a quadrature that does not use it, and
-compared with E + (1 - E) (R + T) from NumPy, from both sides, from 1 degree above the surface to the normal.
-Power: with 8 independent lattices of 16,384 samples, the standard error of a case is .0003 on average and at
-most .0025, that of a group's mean below 5e-5; the quadrature errs by less than .0012 (mirrors of alpha .001).
+The directional albedo is measured twice, by the BSDF's own sampling and by a quadrature of its values that
+does not use that sampling, and compared with E + (1 - E) (R + T) from NumPy. Views are from both sides, from
+1 degree above the surface to the normal.
+
+Power: 8 independent lattices of 4,096 samples per case; the standard error of a case is .0003 on average and
+at most .0025, that of the mean over a group of cases below 2e-5. The error of the quadrature is below .0012
+for the synthetic surfaces (with mirrors of alpha .001) and .0003 for the shipped ones.
 """
+
+from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
@@ -29,30 +34,26 @@ from pepperscene.materials import Surface, flesh_reflectance
 from pepperscene.materials.gloss import cone_gloss
 from pepperscene.spectra import layer_over_body, leaf_spectra
 
-PART = 5
-"""Of the synthetic surfaces, one in so many, whose properties take turns; all in the long tier."""
 COSINES = tuple(side * cosine for side in (1, -1) for cosine in (1.0, 0.8, 0.5, 0.2, 0.1, 0.05, 0.02))
 STATES = (0.0, 0.5, 1.0)
-LONG = pytest.param("all synthetic", marks=pytest.mark.long)
-LOSSLESS = ["synthetic", "two lobes", "residue", LONG]
-ALL_GROUPS = [*LOSSLESS, "shipped", pytest.param("shipped with relief", marks=pytest.mark.long)]
+GROUPS = ("synthetic", "two lobes", "residue", "shipped", "shipped with relief")
+LOSSLESS = GROUPS[:3]
+ALL_GROUPS = [*GROUPS[:-1], pytest.param(GROUPS[-1], marks=pytest.mark.long)]
 
 
 @cache
 def measured(group: str):
     """Cases; albedos and rejected fractions by sampling; albedos and integrated densities by quadrature."""
-    if "synthetic" in group:
-        surfaces = lossless() if group == "all synthetic" else lossless()[::PART]
-        cases = Cases.over(surfaces, (0.0,), COSINES, seed=1)
+    if group == "synthetic":
+        cases = Cases.over(lossless(), (0.0,), COSINES, seed=1)
     elif group in ("two lobes", "residue"):
-        cases = Cases.over(two_lobes()[::4], (0.0,), COSINES, seed=5)
+        cases = Cases.over(two_lobes(), (0.0,), COSINES, seed=5)
         if group == "residue":
             # White residue on a part, on nearly all, and on what a pattern would make more than all.
             cases = replace(cases, residue=np.array([0.1, 0.5, 2.0])[np.arange(len(cases)) % 3])
     else:
         surfaces = shipped() if group == "shipped with relief" else [plain(s) for s in shipped()]
-        cases = Cases.over(surfaces, (0.0,), COSINES, seed=2)
-        cases = replace(cases, state=np.array(STATES)[np.arange(len(cases)) % 3])
+        cases = Cases.over(surfaces, STATES, COSINES, seed=2)
     return cases, *sample_cases(cases, 8, 16384, seed=3), *integrate_cases(cases)
 
 
@@ -78,7 +79,7 @@ def test_lossless_surfaces_send_out_as_much_as_they_receive(group):
     assert by_samples.mean() == pytest.approx(1.0, abs=2e-4)
 
 
-@pytest.mark.parametrize("group", ["synthetic", "two lobes", LONG, "shipped"])
+@pytest.mark.parametrize("group", ["synthetic", "two lobes", "shipped"])
 def test_albedo_equals_that_of_gloss_and_body(group):
     cases, by_samples, _, by_quadrature, _ = measured(group)
     expected = cases.expected()
@@ -90,7 +91,7 @@ def test_albedo_equals_that_of_gloss_and_body(group):
     # freedom, of root mean square 1.18, unless the error is below the tables' 4e-4.
     noisy = error > 2e-4
     assert np.sqrt(np.mean((deviation / np.maximum(error, 1e-9))[noisy] ** 2)) < 1.5
-    assert abs(deviation.mean()) < 2e-4
+    assert abs(deviation.mean()) < 1e-4
     assert (np.abs(by_quadrature - expected) < 0.0015).all(), worst(cases, np.abs(by_quadrature - expected))
 
 
@@ -183,7 +184,7 @@ def relief_cases(reflectance: float, transmittance: float) -> Cases:
     return Cases(surfaces, np.zeros(98, int), np.zeros(98), wi, uv)
 
 
-@pytest.mark.parametrize(("reflectance", "transmittance"), [(1.0, 0.0), (0.3, 0.2)])
+@pytest.mark.parametrize(("reflectance", "transmittance"), [(0.6, 0.4), (1.0, 0.0), (0.3, 0.2)])
 def test_light_beyond_the_horizon_of_a_relief_meets_the_surface_again(reflectance, transmittance):
     # On a slope of angle t the fraction (1 - cos t) / 2 of a matt body's light is below the smooth surface,
     # on both sides of the sheet, where it is scattered with the same albedo p again: p (1 - l) / (1 - l p)
@@ -200,13 +201,13 @@ def test_light_beyond_the_horizon_of_a_relief_meets_the_surface_again(reflectanc
         assert albedo.mean(axis=1) == pytest.approx(1.0, abs=0.003)
 
 
-FILTERED_SLOPES = (0.03, 0.2)
+FILTERED_SLOPES = (0.03, 0.1, 0.2, 0.3)
 
 
 @cache
 def filtered(slope: float):
     """Lossless surfaces with two lobes and a relief that a pixel covers; albedos as in `measured`."""
-    surfaces = [replace(s, relief_mm=waves(slope)) for s in two_lobes()[::4]]
+    surfaces = [replace(s, relief_mm=waves(slope)) for s in two_lobes()]
     cases = replace(Cases.over(surfaces, (0.0,), COSINES, seed=6), footprint_m2=1.0)
     blur = 2.0 * slope**2
     return cases, *sample_cases(cases, 8, 4096, seed=7), *integrate_cases(cases, blur), blur

@@ -104,7 +104,7 @@ def test_image_equals_that_of_the_renderer(surfaces, camera, kaite):
 def test_changed_parameters_give_the_image_of_the_changed_scene(surfaces, camera, kaite):
     """Paths sampled for one scene and evaluated for another keep the mean of the light.
 
-    Over 10 seeds within 4 standard errors, without a flash, for a rougher, greener leaf and a duller fruit.
+    Over 24 seeds within 4 standard errors, without a flash, for a rougher, greener leaf and a duller fruit.
     """
     tuned = {"leaf.roughness": [0.7, 0.3], "leaf.chlorophyll_ug_cm2": 15.0, "fruit.roughness": 0.3}
     paths = dict(kaite.pigments)
@@ -121,14 +121,14 @@ def test_changed_parameters_give_the_image_of_the_changed_scene(surfaces, camera
 
     def means(surfaces, cultivar, values):
         scene = leaf_and_fruit(surfaces)
-        renderers = (DifferentiableRenderer(scene, dark, cultivar, quality(16), seed=k) for k in range(10))
+        renderers = (DifferentiableRenderer(scene, dark, cultivar, quality(16), seed=k) for k in range(24))
         return np.array([renderer.rgb(values).mean((0, 1)) for renderer in renderers])
 
     result, expected = means(surfaces, kaite, tuned), means(changed, other, {})
-    error = np.hypot(result.std(axis=0, ddof=1), expected.std(axis=0, ddof=1)) / np.sqrt(10)
+    error = np.hypot(result.std(axis=0, ddof=1), expected.std(axis=0, ddof=1)) / np.sqrt(24)
     assert (np.abs(result.mean(axis=0) - expected.mean(axis=0)) <= 4 * error.max()).all()
     before = means(surfaces, kaite, {}).mean(axis=0)
-    assert (np.abs(before - expected.mean(axis=0)) > 10 * error).all()
+    assert (np.abs(before - expected.mean(axis=0)) > 20 * error).all()
 
 
 @pytest.mark.parametrize("name", ["flash.power", "flash.spectrum", "exposure.time", "exposure.gain"])

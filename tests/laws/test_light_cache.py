@@ -52,3 +52,8 @@ def test_gathered_light_has_the_mean_of_paths():
     for number in np.flatnonzero(counts[1:] >= 100) + 1:
         ratio = gathered[labels == number].mean(axis=0) / paths[labels == number].mean(axis=0)
         assert ratio == pytest.approx(1.0, abs=0.02), number
+
+
+def test_gathering_needs_a_bounce():
+    with pytest.raises(ValueError, match="directions need at least one bounce"):
+        Quality(1, 1, 1, 0, target=None, denoise=False, directions=2)

@@ -38,7 +38,7 @@ FloatArray = NDArray[np.float64]
 
 SIGNIFICANCE = 1e-4
 FEW, MANY = 40, 2000
-RESOLVED = 6  # plants that are measured before and after contacts are resolved
+RESOLVED = 12  # plants that are measured before and after contacts are resolved
 CUTS = np.linspace(0.29, 0.41, 9)  # relative positions of cuts across a blade, which is widest at about .35
 RELIEF = ("fold_rad", "curl_rad", "rolled_rad", "twist_rad", "margin_wave_m", "blister_m", "vein_m")
 """Measures of a blade that pressing removes."""
@@ -349,14 +349,12 @@ def test_resolving_contacts_changes_few_angles(
 
     Measured: 29 % of petioles are rotated and 41 % of their blades, as leaves do not run through each other;
     10 to 20 % of shoots and what they bear, 13 % of fruit stalks, 21 % of fruit. Means change by at most 0.8
-    degrees for leaves and shoots, 1.7 for fruit stalks, 2.7 for fruit. Bounds are 1.5 to 2 times that, and
-    four standard errors of so few plants.
+    degrees for leaves and shoots, 1.7 for fruit stalks, 2.7 for fruit. Bounds are 1.5 to 2 times that.
     """
     before, after = (sample.get(kind, parameter)[0] for sample in resolved)
     rotation = (after - before + np.pi) % (2.0 * np.pi) - np.pi
     assert (np.abs(rotation) > np.radians(0.1)).mean() < max_fraction
-    error = rotation.std() / np.sqrt(rotation.size)
-    assert abs(rotation.mean()) < np.radians(shift_deg) + 4 * error
+    assert abs(rotation.mean()) < np.radians(shift_deg)
     assert 0.85 < after.std() / before.std() < 1.2
 
 

@@ -13,8 +13,8 @@ from greenhouse import camera, greenhouse
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import QUALITIES, Quality, Renderer
 from pepperscene.render.kernel.camera import spectral_response
-from pepperscene.render.transport import channel_light
-from pepperscene.render.transport.path_lengths import mean_albedo, needs_long_paths
+from pepperscene.render.transport import channel_paths
+from pepperscene.render.transport.path_lengths import ROULETTE, mean_albedo, needs_long_paths
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import sky_spectrum
 
@@ -54,7 +54,7 @@ def test_lossless_box_is_as_bright_as_the_sky_only_with_long_paths():
 
 def test_loop_follows_the_same_paths_as_without_it(monkeypatch):
     # With the same Russian roulette, eight bounces are the same light, in a loop of the kernel or not.
-    monkeypatch.setattr(channel_light, "LONG_ROULETTE", channel_light.ROULETTE)
+    monkeypatch.setattr(channel_paths, "LONG_ROULETTE", ROULETTE)
     scene, view = greenhouse(), camera(flash=False)
     without, looped = (electrons(scene, view, plain(*lengths, 4)) for lengths in ((8, 0), (2, 8)))
     np.testing.assert_allclose(looped, without, rtol=1e-3, atol=1e-5 * without.max())

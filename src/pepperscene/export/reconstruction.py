@@ -126,7 +126,7 @@ def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[s
     splits = scene_splits(job, indices)
     return {
         "camera_model": entries[0]["camera_model"],
-        # The default of nerfstudio, which does not read this key; it tells people the unit.
+        # Nerfstudio ignores this key. It documents the unit.
         "depth_unit_scale_factor": 1 / MILLIMETRES,
         "ply_file_path": _POINT_FILE,
         **{f"{split}_filenames": [paths[index] for index in members] for split, members in splits.items()},

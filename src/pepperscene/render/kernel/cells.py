@@ -19,7 +19,7 @@ from pepperscene.render.arrays import device_array
 from pepperscene.render.variant import mitsuba_modules
 
 CELL_M: Final = 0.03
-"""Edge of a cell, metres. Chosen among 1.5, 3 and 6 cm, which differ by 3 % in the error of a frame."""
+"""Edge of a cell, metres. Chosen among 1.5, 3 and 6 cm, whose errors differed by 3 % in a prototype."""
 _JOINED_M: Final = (0.15, 0.45)  # edges of larger cells; chosen. Each contains whole smaller ones.
 DIVISION_BITS: Final = 28  # of a face's entry: its first cell is below them, its divisions above
 

@@ -164,7 +164,7 @@ class AdaptiveSampler:
         target: error over noise, root mean square in codes; None for a fixed number of samples.
         max_samples: per pixel.
         denoised: whether indirect light will be denoised.
-        gathered: whether indirect light is gathered in several directions, and will be denoised.
+        gathered: whether indirect light is gathered in several directions; without the denoiser it is as any.
         rows: of the image, the only ones whose error is compared with the noise; all by default.
     """
 
@@ -179,7 +179,7 @@ class AdaptiveSampler:
         rows: slice = slice(None),
     ) -> None:
         self.camera, self.target, self.max_samples = camera, target, max_samples
-        self._denoised, self._gathered, self._rows = denoised, gathered, rows
+        self._denoised, self._gathered, self._rows = denoised, gathered and denoised, rows
         self._codes: CodeResponse | None = None
 
     def required(self, accumulator: SampleAccumulator) -> NDArray[np.int32]:

@@ -46,11 +46,12 @@ class ChannelLight:
     gathering: Gathering | None = None
 
     @functools.cached_property
-    def cache(self) -> LightCache | None:
-        """The light at second hits, from paths of the frame's own; None without `gathering`."""
+    def _indirect_light(self) -> Callable[..., list[Any]]:
+        """What computes indirect light, with the light at second hits if it is gathered."""
         if self.gathering is None:
-            return None
-        return fill_cache(self.tables, self.lengths, self.seed, self.gathering.paths)
+            return functools.partial(_indirect, lengths=self.lengths)
+        cache = fill_cache(self.tables, self.lengths, self.seed, self.gathering.paths)
+        return functools.partial(_gathered, cache=cache, directions=self.gathering.directions)
 
     def accumulator(self, height: int) -> SampleAccumulator:
         """An accumulator of this light in some rows, without samples."""
@@ -64,11 +65,7 @@ class ChannelLight:
 
     def sum_all(self, count: int, within: tuple[int, int] | None = None) -> SampleSums:
         """Sums of all light over the first samples of all pixels, or of those within limits."""
-        if self.cache is None or self.gathering is None:
-            indirect = functools.partial(_indirect, lengths=self.lengths)
-        else:
-            indirect = functools.partial(_gathered, cache=self.cache, directions=self.gathering.directions)
-        all_light = functools.partial(_all_light, indirect=indirect)
+        all_light = functools.partial(_all_light, indirect=self._indirect_light)
         return sum_samples(self.tables, None, 0, count, self.seed, all_light, within=within)
 
 
@@ -123,8 +120,7 @@ def _indirect(
     wavelengths, si, point, light = first_point(tables, samples, active, si, hit)
     bounces, most = lengths
     at_hit = si, point, active
-    for part in scattered_light(tables, samples, wavelengths, at_hit, range(bounces + 1), most):
-        light += part
+    light = scattered_light(tables, samples, wavelengths, at_hit, light, range(bounces + 1), most)
     return _integrated(tables, wavelengths, light)
 
 

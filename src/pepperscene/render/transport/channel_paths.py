@@ -34,21 +34,23 @@ def scattered_light(
     samples: Samples,
     wavelengths: SampleWavelengths,
     at_hit: tuple[Any, Any, Any],
+    light: Any,
     bounces: range,
     most: int,
-) -> list[Any]:
-    """What each scattering event after a hit adds to the light that it sends out, in their order.
+) -> Any:
+    """The light that hits send out: some light, and what paths from there on find.
 
     Args:
         tables: of the frame.
         samples: whose paths go on.
         wavelengths: of the samples.
         at_hit: interactions, optical states, and which samples are active.
+        light: that of lamps which the hits scatter.
         bounces: numbers of the scattering events; the hits that camera rays find have the number 0.
         most: see `Sampling.most_bounces`.
     """
     mi, _ = mitsuba_modules()
-    lights, throughput, added = wavelengths.spectra, mi.Spectrum(1.0), []
+    lights, throughput = wavelengths.spectra, mi.Spectrum(1.0)
     si, point, active = at_hit
     final = bounces.stop - 1
     for bounce in bounces:
@@ -59,15 +61,16 @@ def scattered_light(
         if last:
             # The last scattered ray only tests whether it reaches the sky.
             escaped = active & ~tables.scene.scene.ray_test(ray, active)
-            added.append(throughput * samples.sky_radiance(ray.d, escaped, lights, with_sun=False))
+            light += throughput * samples.sky_radiance(ray.d, escaped, lights, with_sun=False)
             break
         if bounce == final:
             lengths = final, most
-            added.append(continued_light(tables, samples, wavelengths, lengths, ray, active, throughput))
+            light += continued_light(tables, samples, wavelengths, lengths, ray, active, throughput)
             break
         si, point, active, (sky, lamps) = arrive(tables, samples, wavelengths, ray, active)
-        added += [throughput * sky, throughput * lamps]
-    return added
+        light += throughput * sky
+        light += throughput * lamps
+    return light
 
 
 def scatter(

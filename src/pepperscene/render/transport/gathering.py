@@ -2,7 +2,7 @@
 
 Among leaves by daylight, nine tenths of the noise of scattered light arise after the second hit. So a part of
 the paths are traced to their ends and fill a `LightCache`; the other rays take the light at their second hits
-from there. For the time of a path, two rays then find the sky or a lit leaf.
+from there.
 
 Where this differs from paths: the light of a cell of 3 cm is taken as even, over its area and over
 directions.
@@ -22,7 +22,6 @@ from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
 
-_LANES: Final = 1 << 20  # largest wavefront, as of other passes
 _SALT: Final = 0x5BD1E995  # chosen: the paths have other random numbers than the frame's samples
 
 
@@ -65,11 +64,11 @@ def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, paths: 
         tables: of the frame.
         lengths: `bounces` and `most_bounces` of `Sampling`.
         seed: of the frame's samples.
-        paths: about how many.
+        paths: about how many; a pass has as many at most.
     """
     mi, dr = mitsuba_modules()
     cells, pixels = tables.scene.cells, tables.rays.width * tables.rays.height
-    step = max(-(-pixels // min(paths, _LANES)), 1)
+    step = -(-pixels // paths)
     arrived = []
     for index in range(max(paths // pixels, 1)):
         raise_if_interrupted()
@@ -100,11 +99,9 @@ def _second_light(tables: FrameTables, samples: Samples, lengths: tuple[int, int
     point = tables.scene.surface_point(si, hit, active, footprint=None)
     cells = tables.scene.cells
     side = dr.select(active, cells.at(si, hit, active), mi.UInt32(2 * cells.count))
-    light = samples.flash_and_sun_light(si, point, active, wavelengths.spectra)
+    at_hit = si, point, active
+    lamps = samples.flash_and_sun_light(*at_hit, wavelengths.spectra)
     bounces, most = lengths
-    for part in scattered_light(
-        tables, samples, wavelengths, (si, point, active), range(1, bounces + 1), most
-    ):
-        light += part
+    light = scattered_light(tables, samples, wavelengths, at_hit, lamps, range(1, bounces + 1), most)
     expected = point.albedo() * wavelengths.source
     return side, dr.select(active, light, 0.0), dr.select(active, expected, 0.0)

@@ -95,20 +95,15 @@ def trace_in_strips(
     errors = []
 
     def sampler(target: float | None, rows: slice) -> AdaptiveSampler:
-        kind = {"denoised": quality.denoise, "gathered": quality.denoise and quality.directions > 0}
-        return AdaptiveSampler(camera, target, quality.most, **kind, rows=rows)
+        gathered = quality.directions > 0
+        return AdaptiveSampler(
+            camera, target, quality.most, denoised=quality.denoise, gathered=gathered, rows=rows
+        )
 
     for rows in strips:
         lights = []
         for number, (part, finish) in enumerate(zip(parts, finishers, strict=True)):
-            adaptive = AdaptiveSampler(
-                camera,
-                target,
-                quality.most,
-                denoised=quality.denoise,
-                gathered=quality.directions > 0,
-                rows=rows,
-            )
+            adaptive = sampler(target, rows)
             lights.append(part.light(quality, rows, adaptive))
             for finished, image in finish(rows, lights[-1]):
                 if number:
@@ -116,15 +111,7 @@ def trace_in_strips(
                 else:
                     signal[finished] = image
         if is_divided:
-            whole = AdaptiveSampler(
-                camera,
-                quality.target,
-                quality.most,
-                denoised=quality.denoise,
-                gathered=quality.directions > 0,
-                rows=rows,
-            )
-            errors.append(whole.error(sum_of_parts(lights)))
+            errors.append(sampler(quality.target, rows).error(sum_of_parts(lights)))
         else:
             errors.append(adaptive.error(lights[-1]))
     if len(strips) > 1:
