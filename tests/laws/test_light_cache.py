@@ -1,5 +1,7 @@
 """Light that is gathered from cells at second hits, against closed forms and against paths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -12,7 +14,8 @@ from pepperscene.render import Quality, Renderer
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.spectra import Spectrum
 
-WHITE = {"white": lambertian_surface("white", 1.0)}
+MATT = lambertian_surface("white", 1.0)
+SMOOTH = replace(MATT, ior=1.5, roughness=(0.1, 0.1))
 SKY = uniform_sky(Spectrum(np.array([300.0, 1100.0]), np.ones(2)), 1000.0)
 
 
@@ -22,15 +25,18 @@ def quality(samples: int, directions: int) -> Quality:
     )
 
 
-def test_white_surfaces_in_an_even_sky_are_as_bright_as_the_sky():
-    """A pixel's ratio has a standard deviation of .002, so that the mean of all has one of 1e-4."""
+@pytest.mark.parametrize("surface", [MATT, SMOOTH], ids=["matt", "smooth"])
+def test_white_surfaces_in_an_even_sky_are_as_bright_as_the_sky(surface):
+    """With any gloss, because all light that it does not reflect reaches the body.
+
+    A pixel's ratio has a standard deviation of .002, so that the mean of all has one of 1e-4."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
     ball.apply_translation((0.0, 0.0, 0.44))
     view = axis_camera(24, 18, flash=False)
     before_wall = assemble_scene(
-        concatenate_meshes([body(ball, "white"), sheet(2.0, 2.0, 0.5, "white")]), WHITE, SKY
+        concatenate_meshes([body(ball, "white"), sheet(2.0, 2.0, 0.5, "white")]), {"white": surface}, SKY
     )
-    behind_camera = assemble_scene(sheet(0.01, 0.01, -1.0, "white"), WHITE, SKY)
+    behind_camera = assemble_scene(sheet(0.01, 0.01, -1.0, "white"), {"white": surface}, SKY)
     electrons, empty = (
         Renderer(scene).render(view, ("electrons",), quality(samples, 2), 1)["electrons"]
         for scene, samples in ((before_wall, 64), (behind_camera, 1))

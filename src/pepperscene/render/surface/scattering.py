@@ -224,6 +224,22 @@ class SurfacePoint:
         lobe = dr.select(mirror, mi.UInt32(0), dr.select(remainder < through, mi.UInt32(2), mi.UInt32(1)))
         return wo, density, value / dr.maximum(density, 1e-20), lobe
 
+    def sample_gloss(self, sample1: Any, sample2: Any) -> tuple[Any, Any, Any]:
+        """Sample a direction of the gloss alone; returns it with BSDF times cosine and density as `eval_pdf`.
+
+        Both are 0 if it ends below the surface.
+        """
+        mi, _ = mitsuba_modules()
+        local = self.gloss.sample(self.wi, sample1, sample2)
+        wo = self.frame.to_world(mi.Vector3f(local.x, local.y, local.z * self.flip))
+        return wo, *self.eval_pdf_in_relief(local, (local.z > 0.0) & (wo.z * self.flip > 0.0))
+
+    def gloss_density(self, wo: Any) -> Any:
+        """Density of `sample_gloss` at a direction in the smooth local frame."""
+        _, dr = mitsuba_modules()
+        local, is_same_side = self.to_relief(wo)
+        return dr.select(is_same_side & (local.z > 0.0), self.gloss.eval_pdf(self.wi, local)[1], 0.0)
+
     def albedo(self) -> Any:
         """Reflectance and transmittance of the body together."""
         return self.reflectance + self.transmittance

@@ -19,9 +19,13 @@ from pepperscene.render.arrays import device_uint
 from pepperscene.render.transport.channel_paths import first_point, scattered_light
 from pepperscene.render.transport.light_cache import LightCache, light_cache
 from pepperscene.render.transport.lights import FrameTables
-from pepperscene.render.transport.samples import Samples, SampleWavelengths
+from pepperscene.render.transport.samples import TINY, Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
 
+_SMOOTH: Final = 0.15  # roughness; chosen: that of fruit is .07 to .12, that of leaves from .22 on
+_GLOSS_RAYS: Final = 2
+"""Further rays of smooth surfaces, in the directions of their gloss. Chosen: the error of fruit in
+`greenhouse` is 4 % less than without, for 4 % of the time of a frame."""
 _SALT: Final = 0x5BD1E995  # chosen: the paths have other random numbers than the frame's samples
 
 
@@ -40,11 +44,21 @@ def gathered_light(
     mi, dr = mitsuba_modules()
     si, point, active = at_hit
     light, lobe = mi.Spectrum(0.0), samples.next_1d()
-    for k in range(directions):
-        # The directions divide the lobes among them.
-        wo, density, weight, _ = point.sample((lobe + k) / directions, samples.next_2d())
-        going = active & (density > 0.0) & dr.any(weight > 0.0)
-        weight = dr.select(going, weight / directions, 0.0)
+    # A smooth surface shows the sky and the leaves around it: its gloss has rays of its own.
+    is_smooth = active & (point.gloss.square < _SMOOTH**2)
+    gloss_rays = dr.select(is_smooth, mi.Float(_GLOSS_RAYS), 0.0)
+    for k in range(directions + _GLOSS_RAYS):
+        if k < directions:
+            # The directions divide the lobes among them.
+            wo, density, weight, _ = point.sample((lobe + k) / directions, samples.next_2d())
+            value, going = weight * density, active
+        else:
+            wo, value, density = point.sample_gloss(samples.next_1d(), samples.next_2d())
+            going = is_smooth
+        # Both kinds of rays have the weights of the balance heuristic (Veach & Guibas 1995).
+        going = going & (density > 0.0) & dr.any(value > 0.0)  # `&=` would change the array that it names
+        both = directions * density + gloss_rays * point.gloss_density(wo)
+        weight = dr.select(going, value / dr.maximum(both, TINY), 0.0)
         ray = si.spawn_ray(si.to_world(wo))
         ray.wavelengths = wavelengths.nm
         is_hit, second, hit = tables.scene.intersect(ray, going)
