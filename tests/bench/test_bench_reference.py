@@ -100,6 +100,7 @@ def test_error_is_that_of_the_noise_however_noisy_the_reference_is(wide_camera, 
     assert sum(outside) <= 0.02 * SEEDS
 
 
+@pytest.mark.long
 def test_standard_error_is_the_spread_over_seeds(wide_camera):
     # On a uniform image; otherwise differences between its parts are included.
     truth = ramp(wide_camera, 2_000.0, 2_000.0)
@@ -112,6 +113,7 @@ def test_standard_error_is_the_spread_over_seeds(wide_camera):
     assert np.mean([result.root_uncertainty for result in results]) == pytest.approx(roots, rel=0.15)
 
 
+@pytest.mark.long
 def test_noise_of_the_reference_adds_no_bias_in_the_dark(wide_camera):
     # Dark, where the tone curve is most concave; the image has no error.
     truth, noise_e = ramp(wide_camera, 20.0, 120.0), 20.0

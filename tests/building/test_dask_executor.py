@@ -297,6 +297,7 @@ def test_rejects_address_without_host_and_port(make):
             make(scheduler=address)
 
 
+@pytest.mark.long
 def test_cluster_without_workers(make, tmp_path, monkeypatch):
     monkeypatch.setattr(dask_executor, "_NO_WORKER_S", 0.5)
     with local_cluster(0) as cluster, pytest.raises(WorkerError, match="has had no worker for"):

@@ -59,6 +59,7 @@ def test_scenes_have_what_their_outputs_and_recipe_need(renderer, recipe, fake_r
     assert "twine" in {instance.kind for instance in traced.scene.mesh.instances}
 
 
+@pytest.mark.long
 def test_each_set_has_its_own_clouds(renderer, recipe):
     def clouds(index, renderer=renderer):
         return renderer.scene(renderer.recipe.plan.frame(index)).sky.weights

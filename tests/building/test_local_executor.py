@@ -172,6 +172,7 @@ def test_frame_that_ends_every_worker_is_named_and_others_are_kept(
     assert contents(tmp_path / "set") == expected
 
 
+@pytest.mark.long
 def test_interrupt_ends_the_workers_and_keeps_complete_frames(build_small, expected, tmp_path, monkeypatch):
     monkeypatch.setenv("STAND_IN_S", "0.1")
 
@@ -216,6 +217,7 @@ def test_rejects_invalid_number_of_workers(build_small, tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("variable", "threads"), [(None, "1"), ("3", "3")])
 def test_workers_share_the_cores(build_small, monkeypatch, variable, threads):
     monkeypatch.setattr(sys.modules["pepperscene.building.execution.executor"], "available_cores", lambda: 2)

@@ -262,7 +262,7 @@ TEETH = {"override": {"organs": {"lamina": {"palmate": True, "teeth": {"value": 
         ({}, 5, 0.3, np.inf),
         ({"cultivar": "tomato"}, 5, 1.0, 1.3),
         ({"cultivar": "eggplant"}, 5, 2.2, 1.3),
-        (bearing("lamina", 5), 2, 1.0, 1.4),
+        pytest.param(bearing("lamina", 5), 2, 1.0, 1.4, marks=pytest.mark.long),
         (bearing("pedicel", 3), 2, 1.0, 1.4),
         (bearing("fruit", 2, "two"), 2, 1.0, 1.4),
         (shape(lobes=40.0, lobe_depth=0.2), 2, 1.0, 1.4),

@@ -72,6 +72,7 @@ def test_reachable_positions_are_away_from_surfaces_and_outside_of_them():
     assert not reach([[3.0, 0.0, -0.1]])
 
 
+@pytest.mark.long
 def test_random_poses_are_uniform_reachable_and_face_the_nearest_target():
     targets = np.array([[-0.5, 1.0, 1.0], [0.5, 1.0, 1.2]])
     reach = ps.ReachTest(ps.SphereWorkspace((0, 0, 1), 0.5), sphere((0.0, 5.0, 1.0), 0.1))

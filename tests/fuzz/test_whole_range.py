@@ -58,6 +58,7 @@ def render(tables: dict, changes: dict, outputs: tuple[str, ...]):
     return frame
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "examples", [pytest.param(4, id="few"), pytest.param(2_000, id="many", marks=pytest.mark.long)]
 )
@@ -95,6 +96,7 @@ def constant_mm(value: float) -> dict:
     return {"value_mm": value, "chosen": "for a test"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("diameter_mm", [0.1, *long_cases((0.5,), (6.0,)), 600.0])
 def test_berries_and_giant_fruit_give_an_image(diameter_mm):
     tables = whole_range.plain_tables("fruit")
@@ -102,6 +104,7 @@ def test_berries_and_giant_fruit_give_an_image(diameter_mm):
     render(tables, {}, ("colour", "class", "instance"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("length_mm", "width_mm"), [(0.1, 0.1), *long_cases((3.0, 2.0), (2000.0, 2000.0)), (2000.0, 0.1)]
 )
@@ -111,6 +114,7 @@ def test_tiny_and_giant_blades_give_an_image(length_mm, width_mm):
     render(tables, {}, ("colour", "class", "instance"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("grown", "slots"), [*long_cases(("leaf", 1), ("fruit", 1)), ("cut", 84)])
 def test_many_organs_at_a_node_give_an_image(grown, slots):
     render(whole_range.plain_tables(grown, "twelve", slots), {}, ("class", "instance"))

@@ -37,8 +37,11 @@ from pepperscene.spectra import layer_over_body, leaf_spectra
 COSINES = tuple(side * cosine for side in (1, -1) for cosine in (1.0, 0.8, 0.5, 0.2, 0.1, 0.05, 0.02))
 STATES = (0.0, 0.5, 1.0)
 GROUPS = ("synthetic", "two lobes", "residue", "shipped", "shipped with relief")
-LOSSLESS = GROUPS[:3]
-ALL_GROUPS = [*GROUPS[:-1], pytest.param(GROUPS[-1], marks=pytest.mark.long)]
+ALL_GROUPS = [
+    pytest.param(group, marks=() if group in ("two lobes", "residue") else pytest.mark.long)
+    for group in GROUPS
+]
+LOSSLESS = ALL_GROUPS[:3]
 
 
 @cache
@@ -201,7 +204,7 @@ def test_light_beyond_the_horizon_of_a_relief_meets_the_surface_again(reflectanc
         assert albedo.mean(axis=1) == pytest.approx(1.0, abs=0.003)
 
 
-FILTERED_SLOPES = (0.03, 0.1, 0.2, 0.3)
+FILTERED_SLOPES = [0.1, *(pytest.param(slope, marks=pytest.mark.long) for slope in (0.03, 0.2, 0.3))]
 
 
 @cache

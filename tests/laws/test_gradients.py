@@ -101,6 +101,7 @@ def test_image_equals_that_of_the_renderer(surfaces, camera, kaite):
     assert result == pytest.approx(expected, rel=1e-5, abs=1e-5 * expected.max())
 
 
+@pytest.mark.long
 def test_changed_parameters_give_the_image_of_the_changed_scene(surfaces, camera, kaite):
     """Paths sampled for one scene and evaluated for another keep the mean of the light.
 
@@ -131,7 +132,10 @@ def test_changed_parameters_give_the_image_of_the_changed_scene(surfaces, camera
     assert (np.abs(before - expected.mean(axis=0)) > 20 * error).all()
 
 
-@pytest.mark.parametrize("name", ["flash.power", "flash.spectrum", "exposure.time", "exposure.gain"])
+@pytest.mark.parametrize(
+    "name",
+    ["flash.power", pytest.param("flash.spectrum", marks=pytest.mark.long), "exposure.time", "exposure.gain"],
+)
 def test_slopes_of_linear_parameters(renderer, name):
     """A single step of a tenth is exact, to the 1e-5 of single precision over that step."""
     value = renderer.parameters[name]
@@ -255,7 +259,7 @@ BLACK = {"leaf.chlorophyll_ug_cm2": 1e4, "leaf.brown": 1e3, "leaf.dry_matter_g_c
 @pytest.mark.parametrize(
     "values",
     [
-        pytest.param(WHITE, id="R + T is 1"),
+        pytest.param(WHITE, id="R + T is 1", marks=pytest.mark.long),
         pytest.param(
             BLACK | {"leaf.ior": 2.5, "leaf.roughness": 1.0}, id="all gloss", marks=pytest.mark.long
         ),

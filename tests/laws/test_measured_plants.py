@@ -317,6 +317,7 @@ def resolved(kaite: Cultivar) -> tuple[Sample, Sample]:
     return before, after
 
 
+@pytest.mark.long
 def test_resolving_contacts_changes_no_size(resolved: tuple[Sample, Sample]) -> None:
     """Organs are only rotated; vertices in single precision 4 m up are rounded to half a micrometre."""
     before, after = resolved

@@ -117,7 +117,9 @@ def _program(page: Path) -> str:
             for offset, command in _commands(block):
                 words = shlex.split(command, comments=True)
                 if words[0] == "pepperscene":
-                    program[start + offset] = f"_run(*{[*words[1:], *block.options]!r})"
+                    # Commands of the block that do not have these options go without.
+                    options = [] if _unknown_words([words[1], *block.options]) else block.options
+                    program[start + offset] = f"_run(*{[*words[1:], *options]!r})"
     return "\n".join(program)
 
 

@@ -106,10 +106,10 @@ def camera():
     return Camera(lens, load_sensor("ueye_ui5250re"))
 
 
-@pytest.fixture(scope="module")
-def views(scene, space, camera):
+@pytest.fixture(scope="module", params=[300, pytest.param(1000, marks=pytest.mark.long)])
+def views(request, scene, space, camera):
     rng = np.random.default_rng(5)
-    return [ViewSearch(SETTINGS, scene, camera, space).find(rng, anything) for _ in range(1000)]
+    return [ViewSearch(SETTINGS, scene, camera, space).find(rng, anything) for _ in range(request.param)]
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +242,7 @@ def test_all_limits_of_the_pose_are_kept(scene, camera, views, lenses):
     assert (lenses <= high).all()
     fruit = scene.skeleton.of_form("fruit")
     assert {view.target_instance for view in views} <= set(fruit)
-    assert len({view.target_instance for view in views}) > 20
+    assert len({view.target_instance for view in views}) > (20 if len(views) == 1000 else 15)
     for view in views:
         np.testing.assert_allclose(view.pose[:3, :3] @ view.pose[:3, :3].T, np.eye(3), atol=1e-12)
         assert np.linalg.det(view.pose[:3, :3]) > 0

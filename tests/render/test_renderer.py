@@ -65,6 +65,7 @@ def test_frame_has_the_same_bytes_in_another_process():
     assert run_python(code, PYTHONHASHSEED="2") == expected
 
 
+@pytest.mark.long
 def test_repeated_frames_are_equal_and_finite(scene, used, frame):
     # Lanes that have left the scene contain uninitialised memory; none of it may reach a pixel. Other renders
     # in between leave other values there.

@@ -198,7 +198,7 @@ def test_without_noise_strips_of_bands_are_measured_as_the_image(plants, in_stri
         np.testing.assert_allclose(parts[name], whole[name], rtol=1e-5, atol=1e-3, err_msg=name)
 
 
-@pytest.mark.parametrize("count", [5, 20])
+@pytest.mark.parametrize("count", [5, pytest.param(20, marks=pytest.mark.long)])
 def test_denoised_strips_of_bands_show_no_seams(plants, in_strips, count):
     # Above twelve bands, the filter takes means over bands, and their factors come from neighbourhoods.
     view, quality = banded(count, 160, 150), replace(FIXED, denoise=True)

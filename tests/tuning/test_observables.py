@@ -256,6 +256,7 @@ def test_slopes_of_the_sensor_model_match_finite_differences(exposure, scales_ti
     assert 0.05 < here[2].mean() < 0.95
 
 
+@pytest.mark.long
 def test_standard_errors_of_a_view_are_those_of_camera_images():
     """Images of the same light, by the camera's steps down to 8-bit codes."""
     patches = no_patches(["leaf"])
