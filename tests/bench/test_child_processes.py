@@ -33,6 +33,7 @@ def measured():
     return run_child(SMALL)
 
 
+@pytest.mark.long
 def test_every_stage_is_timed_and_stages_are_disjoint_and_nearly_complete(measured):
     assert set(measured["scene"]) == {
         "import", "start Mitsuba", "plants", "place row and resolve contacts", "cull hidden geometry",

@@ -86,6 +86,7 @@ def random_frames():
     return frames_of("greenhouse", SMALL | {"views": RANDOM}, range(2))
 
 
+@pytest.mark.long
 def test_random_views_show_no_coarse_plant_from_near(random_frames):
     renderer, frames = random_frames
     assert len(renderer.scene(renderer.recipe.plan.frame(0), traced=False).skeleton.plants) > 3
@@ -181,6 +182,7 @@ def test_shipped_recipes_show_no_coarse_plant_from_near(name):
     check_near(frames_of(name, changes, [0, 1])[1])
 
 
+@pytest.mark.long
 def test_labels_of_far_rows_change_nothing_else(one_plant):
     # The rolling shutter of a moving camera, and geometry that is culled.
     outputs = ["class", "distance", "instance", "harvest"]
@@ -236,6 +238,7 @@ def test_two_hundred_random_views_show_no_coarse_plant_from_near(name):
     check_near(frames_of(recipe, changes, range(100))[1])
 
 
+@pytest.mark.long
 def test_later_random_views_show_no_coarse_plant_from_near(monkeypatch):
     # The first view alone decides, and the plants that others would come near to stay coarse.
     monkeypatch.setattr(scene_builder, "DECISIVE_VIEWS", 1)

@@ -36,6 +36,7 @@ def assert_equal(made, expected):
             np.testing.assert_equal(getattr(surface, field.name), getattr(expected[name], field.name))
 
 
+@pytest.mark.long
 def test_without_a_working_process_they_are_made_here(kaite, expected, monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "executable", str(tmp_path / "missing"))
     with FunctionWorker() as worker:
@@ -64,6 +65,7 @@ def test_surfaces_of_the_last_cultivar_are_kept(kaite, monkeypatch):
     assert [call[:2] for call in calls] == [(kaite, 400.0), (kaite, 410.0), (other, 410.0), (kaite, 410.0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("processes", "plants"), [("2", MIN_SHARED_PLANTS), ("1", MIN_SHARED_PLANTS), ("2", 1)]
 )

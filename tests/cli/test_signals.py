@@ -182,6 +182,7 @@ def test_a_second_signal_does_not_break_the_cleanup_and_a_third_ends_it(signals,
     assert output == rest
 
 
+@pytest.mark.long
 def test_programs_that_import_the_package_keep_their_signal_handlers(tmp_path):
     code = (
         "import signal, sys, stand_in\n"

@@ -18,6 +18,7 @@ def stages() -> Stages:
     return first, middle, last
 
 
+@pytest.mark.long
 def test_every_quantile_is_interpolated(stages: Stages) -> None:
     first, last, _ = stages
     for kind, organ in interpolate_cultivars(first, last, 0.3).organs.items():

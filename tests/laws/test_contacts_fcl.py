@@ -217,6 +217,7 @@ def is_inside(mesh: Mesh, fruit: int, other: int) -> bool:
     return bool(surface.contains(part.vertices[::5].astype(float)).all())
 
 
+@pytest.mark.long
 def test_contacts_between_neighbours_are_resolved(row: Mesh) -> None:
     assert len(touching_fruit(row)) > 0.2 * len(of_class(row, OrganClass.PEPPER))
     assert len(blades_through_stems(row)) > 10
@@ -309,10 +310,8 @@ def grows_beside(mesh: Mesh, stalk: int, stem: int) -> bool:
     return bool(near & {stalk, mesh.instances[stalk].parent})
 
 
-LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("red_blocky", "kaite_old", "orange_pointed")]
-
-
-@pytest.mark.parametrize("name", ["kaite", *LONG])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["kaite", "red_blocky", "kaite_old", "orange_pointed"])
 def test_no_leaf_of_a_row_is_deep_in_another(name: str) -> None:
     mesh = settled_row(name)
     with_blades, with_stalks = leaf_pairs(mesh)

@@ -141,6 +141,7 @@ def test_depth_noise_at_many_distances():
     assert 0.05 / 1.15 < found.mean() < 0.1 * 1.15
 
 
+@pytest.mark.long
 def test_sunlight_outshines_the_pattern_on_a_plane_without_texture():
     indoors, outdoors = (errors(1.0, d435(), sunny(lx)) for lx in (300.0, 100_000.0))
     assert np.isfinite(indoors).mean() > 0.95
@@ -150,6 +151,7 @@ def test_sunlight_outshines_the_pattern_on_a_plane_without_texture():
     assert np.isnan(outdoors).mean() > 0.9
 
 
+@pytest.mark.long
 def test_without_a_projector_a_plane_without_texture_is_a_hole():
     assert np.isnan(errors(0.5, d435(projector=False), sunny(1000.0))).mean() > 0.9
 

@@ -36,6 +36,7 @@ def flash_only() -> WithReference:
     return WithReference(assemble_scene(scene.mesh, surfaces), camera, bounces=0)
 
 
+@pytest.mark.long
 def test_error_of_the_flash_follows_the_target(flash_only):
     direct = Quality(4, 1, 1024, 0, target=1.0, denoise=False)
     targets, true = [0.4, 0.2, 0.1], []

@@ -65,6 +65,7 @@ def fruit(detail: float):
     return mesh_plant(Plant("fruit", organs, DEFAULT_KINDS), detail)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ior", [pytest.param(1.0, marks=pytest.mark.long), 1.3])
 def test_coarse_white_fruit_has_the_outline_of_a_fine_one(ior):
     # From 15 cm, in a uniform sky, everything white so that lost light is visible. Without correction, the

@@ -37,7 +37,15 @@ def pairs_of_directions(surfaces: tuple[Surface, ...], seed: int) -> tuple[Cases
     return Cases(surfaces, surface, rng.random(PAIRS), a.astype(np.float32), uv), b.astype(np.float32)
 
 
-@pytest.mark.parametrize(("relief", "footprint_m2"), [(False, 0.0), (True, 0.0), (True, 1e-7), (True, None)])
+@pytest.mark.parametrize(
+    ("relief", "footprint_m2"),
+    [
+        (False, 0.0),
+        (True, 0.0),
+        pytest.param(True, 1e-7, marks=pytest.mark.long),
+        pytest.param(True, None, marks=pytest.mark.long),
+    ],
+)
 def test_scattering_is_reciprocal(relief, footprint_m2):
     # f(i, o) = f(o, i) for 32,768 pairs over all shipped surfaces, in all states, and all synthetic ones: on
     # one side, and through sheets with different sides, with and without residue and ageing. On a relief: for

@@ -143,9 +143,8 @@ def test_defaults_of_fine_tuning():
         ExperimentOptions(fine_steps=0).completed()
 
 
-@pytest.mark.parametrize(
-    ("other", "start"), [("set", "seed1_D_start"), pytest.param("model", "model", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("other", "start"), [("set", "seed1_D_start"), ("model", "model")])
 def test_an_unrelated_set_or_model_starts_d(tmp_path, other, start):
     write_bands(tmp_path / "synthetic", 4)
     write_bands(tmp_path / "real", 2, seed=5)

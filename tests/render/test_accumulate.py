@@ -194,6 +194,7 @@ def test_refinement_adds_the_samples_that_would_have_come_next(tracer):
     assert np.array_equal(mixed.indirect, few.indirect)
 
 
+@pytest.mark.long
 def test_variance_of_traced_samples_equals_that_of_independent_samples(tracer):
     # One sample per frame, over 128 seeds, has the variance that 256 samples of a frame report: well-spread
     # samples cover what independent ones do. Indirect light is left out, as rare paths make most of its

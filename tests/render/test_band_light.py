@@ -75,7 +75,9 @@ def indirect(lights: list[TracedLight]) -> np.ndarray:
     return np.array([light.indirect.mean(axis=(0, 1), dtype=np.float64) for light in lights])
 
 
-@pytest.mark.parametrize("flash", [True, False], ids=["flash", "daylight"])
+@pytest.mark.parametrize(
+    "flash", [pytest.param(True, id="flash", marks=pytest.mark.long), pytest.param(False, id="daylight")]
+)
 def test_bands_with_the_curves_of_colours_have_their_light(scene, flash):
     view = camera(columns=24, rows=18, flash=flash)
     colours, bands = lights(scene, view, 0), lights(scene, banded(view), 0)
@@ -146,6 +148,7 @@ def test_each_band_is_measured_as_by_a_monochrome_sensor():
     assert np.array_equal(one, other)
 
 
+@pytest.mark.long
 def test_measured_electrons_have_the_noise_that_sampling_assumes():
     view = replace(banded(camera(columns=200, rows=150)), developing=Developing(falloff=False))
     signal = np.ones((150, 200, 3), np.float32) * np.array([1e17, 4e17, 2e17], np.float32)

@@ -58,7 +58,14 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize(("name", "target"), list(zip(VIEWS, (50.0, 140.0, 90.0), strict=True)))
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [
+        ("daylight", 140.0),
+        pytest.param("flash and daylight", 50.0, marks=pytest.mark.long),
+        pytest.param("monochrome", 90.0, marks=pytest.mark.long),
+    ],
+)
 def test_rendered_image_has_the_wanted_mean_grey(renderer, name, target):
     control = replace(CONTROL, target_grey=target)
     frame = renderer.render(VIEWS[name], ["colour"], "standard", 3, exposure_control=control)
@@ -103,6 +110,7 @@ def test_metered_light_is_that_of_the_frame(renderer, scene):
     assert electrons["electrons"].mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=0.02)
 
 
+@pytest.mark.long
 def test_metering_depends_on_its_arguments_alone(scene, renderer):
     view, sky = photographer(), cloudy_sky(3)
     first = renderer.meter(view, CONTROL, 9, sky)
@@ -150,7 +158,8 @@ def test_frames_without_control_or_light_are_as_before(scene, renderer):
     assert labels.metadata["camera"] == camera().to_metadata()
 
 
-@pytest.mark.parametrize("integrator", ["flash", pytest.param("path", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("integrator", ["flash", "path"])
 def test_frame_under_another_sky_equals_a_scene_with_that_sky(scene, integrator):
     quality = Quality(4, 2, 8, 1, 0.15 if integrator == "flash" else None, True, integrator)
     view = replace(camera(), exposure_s=1e-3)

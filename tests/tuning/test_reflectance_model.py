@@ -173,7 +173,9 @@ def mean_is_a_knot(of: DirectModel) -> bool:
     )
 
 
-@pytest.mark.parametrize("kind", ["leaf", "stem", "pepper"])
+@pytest.mark.parametrize(
+    "kind", ["leaf", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("stem", "pepper"))]
+)
 def test_derivatives_match_finite_differences(kind):
     kinds = ("pepper.unripe", "pepper.ripe") if kind == "pepper" else (kind,)
     of = model(*kinds)

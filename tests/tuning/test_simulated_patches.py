@@ -34,6 +34,7 @@ def mean(patches, kind):
     return patches.pixels(kind).mean(axis=0)
 
 
+@pytest.mark.long
 def test_patches_show_the_views_of_a_target(recipe, default):
     target = TuningTarget(recipe, default, registered=True, **SMALL)
     assert [one.name for one in default.patches] == [view.name for view in target.views]
@@ -45,6 +46,7 @@ def test_patches_show_the_views_of_a_target(recipe, default):
     assert np.abs(target.problem(["exposure"]).data_residuals({})).max() < 5.0
 
 
+@pytest.mark.long
 def test_codes_depend_on_the_noise_seed_only(recipe, default):
     again, other = (simulate_patches(recipe, {}, KINDS, **SMALL, noise=noise) for noise in (1, 2))
     for one, same, different in zip(default.patches, again.patches, other.patches, strict=True):

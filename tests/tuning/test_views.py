@@ -76,6 +76,7 @@ def test_organs_have_ascending_states_of_their_stages(target):
         assert kind != "peduncle" or set(by_surface) == {("peduncle",), ("calyx",)}
 
 
+@pytest.mark.long
 def test_views_depend_on_the_seed_and_not_on_other_kinds(target, leaf):
     (same, _), (other,) = views_of(target, ["leaf", "stem"]), views_of(target, ["leaf"], seed=5)
     assert same_view(leaf, same)
