@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from pepperscene.camera import Camera, Ghost, StrayLight, add_stray_light, load_lens, load_sensor
+from pepperscene.camera import (
+    Camera,
+    Developing,
+    Ghost,
+    StrayLight,
+    add_stray_light,
+    load_lens,
+    load_sensor,
+    stray_light_factor,
+)
 from pepperscene.camera.image.electrons import convolve_inside, point_spread
 
 LENS, SENSOR = load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re")
@@ -170,3 +179,13 @@ def test_raises_on_impossible_numbers():
     ):  # fmt: skip
         with pytest.raises(ValueError, match=r"stray light|scatter|ghost"):
             StrayLight(**wrong)
+
+
+def test_factor_is_what_is_left_of_independent_deviations():
+    camera = replace(camera_with(StrayLight()), developing=Developing(stray_light=True))
+    image = np.random.default_rng(4).normal(1000.0, 30.0, (camera.height, camera.width, 3))
+    # 90,000 deviations give the ratio to .4 %.
+    left = add_stray_light(image, camera).std() / image.std()
+    assert stray_light_factor(camera) == pytest.approx(left, rel=0.02)
+    assert stray_light_factor(camera) < 0.9
+    assert stray_light_factor(camera_with(StrayLight())) == 1.0

@@ -3,7 +3,8 @@
 The true error is the root mean square difference in codes to a reference, from the product of the differences
 to two independent halves of it, in which the reference's own noise cancels. Light that meets one surface
 alone follows Mitchell's equation and is reported within [.6, 1.8]; what the denoiser leaves of other light
-depends on the image (sphere and leaf, reported / true 1.9; plants by flash .63, by daylight .74).
+depends on the image (sphere and leaf, reported / true 1.9; plants by flash .63). By daylight the error is
+measured in some pixels (.91).
 """
 
 import numpy as np
@@ -23,7 +24,9 @@ from pepperscene.scene import assemble_scene
 def test_reported_error_is_the_true_error(name):
     view = plants_view(daylight=name == "daylight") if name != "sphere and leaf" else sphere_and_leaf_view()
     true, reported, metadata = WithReference(*view).errors("standard")
-    assert 1 / 2.2 < reported / true < 2.2, (true, reported, metadata[0])
+    # By daylight alone the error is measured in 1,024 pixels.
+    factor = 1.4 if name == "daylight" else 2.2
+    assert 1 / factor < reported / true < factor, (true, reported, metadata[0])
     for frame in metadata:
         assert frame["error_to_noise"] == pytest.approx(frame["error_codes"] / frame["noise_codes"])
 

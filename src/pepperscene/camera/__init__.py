@@ -28,6 +28,7 @@ from pepperscene.camera.image.electrons import (
     expected_electrons,
     image_electrons,
     relative_illumination,
+    stray_light_factor,
 )
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.optics.flash import Flash, load_flash
@@ -104,6 +105,7 @@ __all__ = [
     "reference_light",
     "relative_illumination",
     "spline_trajectory",
+    "stray_light_factor",
     "trajectory_from_poses",
     "with_exposure",
     "write_poses",

@@ -115,6 +115,15 @@ def image_electrons(signal: NDArray[np.float32], camera: Camera) -> NDArray[Any]
     return add_stray_light(signal, camera) if camera.developing.stray_light else signal
 
 
+def stray_light_factor(camera: Camera) -> float:
+    """What stray light leaves of a deviation that is independent from pixel to pixel; 1 if switched off."""
+    if not camera.developing.stray_light:
+        return 1.0
+    dtype = "float64" if is_whole(camera.width, camera.height) else "float32"
+    transfer = _camera_transfer(camera, (camera.height, camera.width), dtype)
+    return math.sqrt(np.vdot(transfer, transfer) / transfer.size)
+
+
 def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
     """`(h, w, c)` expected electrons with the lens' stray light, which `developing.stray_light` switches on.
 
@@ -133,14 +142,7 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating
     size = image.shape[0], image.shape[1]
     is_single = image.dtype == np.float32 and not is_whole(size[1], size[0])
     image = image if is_single else np.asarray(image, dtype=float)
-    transfer = _transfer(
-        stray,
-        camera.lens.f_number,
-        camera.sensor.pixel_pitch_m,
-        _mean_wavelength_m(camera.sensor),
-        size,
-        image.dtype.name,
-    )
+    transfer = _camera_transfer(camera, size, image.dtype.name)
     result = image if is_single else np.empty_like(image)
     for channel in range(image.shape[-1]):
         plane = np.maximum(image[..., channel], image.dtype.type(0.0))
@@ -153,6 +155,13 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating
         remaining = plane.sum(dtype=float) - spread.sum(dtype=float)
         np.add(spread, image.dtype.type(remaining / plane.size), out=result[..., channel])
     return result
+
+
+def _camera_transfer(camera: Camera, size: tuple[int, int], dtype: str) -> NDArray[np.floating]:
+    lens, sensor = camera.lens, camera.sensor
+    return _transfer(
+        lens.stray_light, lens.f_number, sensor.pixel_pitch_m, _mean_wavelength_m(sensor), size, dtype
+    )
 
 
 @lru_cache(maxsize=2)

@@ -105,7 +105,7 @@ def _normalised(signal: Floats, white: NDArray[np.float64]) -> Floats:
 def _colour_matrix(camera: Camera) -> Floats:
     """`(c, k)` linear part of developing: the contribution of each channel far below saturation."""
     channels = np.eye(camera.sensor.channels, dtype=np.float32)
-    if not _makes_images(camera):
+    if not makes_images(camera):
         return channels
     level = np.float32(1e-4)
     return correct_colours(channels[None] * level, camera)[0] / level / np.float32(1.0 + pedestal(camera))
@@ -113,11 +113,11 @@ def _colour_matrix(camera: Camera) -> Floats:
 
 def _lift(camera: Camera) -> np.float32:
     """Linear value of black."""
-    lifted = pedestal(camera) if _makes_images(camera) else 0.0
+    lifted = pedestal(camera) if makes_images(camera) else 0.0
     return np.float32(lifted / (1.0 + lifted))
 
 
-def _makes_images(camera: Camera) -> bool:
+def makes_images(camera: Camera) -> bool:
     """Whether there is a white balance; otherwise the camera gives electrons and no images."""
     return camera.developing.white_balance != "flash" or camera.flash is not None
 
@@ -141,11 +141,10 @@ _DENOISED_ERRORS: Final = (0.15, 0.19)
 light; chosen: constant outside of these shares, linear between. Measured for 2 to 16 samples: .13 to .17 in
 two frames of `barth2018` by flash (share .04); .17 to .20 in two of `greenhouse` (.6) and one of `randomised`
 (.4) by daylight, where fine shadows in the light of the sky are lost."""
-_GATHERED_ERROR: Final = 0.19
-_GATHERED_BIAS: Final = 0.065
-"""The same for gathered light (`transport.gathering`), and what the denoiser loses of it however many
-samples there are, as a fraction of the light. From 4 and 8 samples of frame 0 of `greenhouse` with stray
-light: .24 and .09 at 400x300 pixels, times the ratio of that size's errors to those at 800x600."""
+_GATHERED_ERROR: Final = 0.22
+"""The same for gathered light (`transport.gathering`), times the fourth root of the number of samples: what
+the denoiser loses does not fall as the noise does. Measured on frame 0 of `greenhouse`, 400x300 pixels: .22
+for 1 and for 8 samples."""
 _INDIRECT_COST: Final = 18.0
 """Time of a sample of indirect light over that of a further one of direct light; measured: 15 to 23."""
 _BALANCE_STEPS: Final = 3  # chosen: the next step would change the number of samples by some per cent
@@ -191,18 +190,16 @@ class AdaptiveSampler:
         direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
         indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
         # Direct light may have the error that indirect light leaves of the target, at least half of it.
-        remaining = float(np.mean(indirect)) * self._indirect_factor(accumulator.indirect_share())
-        remaining /= accumulator.indirect_samples
-        if self._gathered:
-            lost = codes.squared(_lost_square(accumulator.indirect(), accumulator.white), _MAX_ERROR)
-            remaining += float(np.mean(lost))
+        count = accumulator.indirect_samples
+        remaining = float(np.mean(indirect)) * self._indirect_factor(accumulator.indirect_share(), count)
         allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
         left = max(allowed - remaining, 0.5 * allowed)
         wanted = self._distribute(direct.ravel(), left)
         if remaining > allowed:
             # The target cannot be met, and more direct samples than in balance would be wasted.
+            power = 0.5 if self._gathered else 1.0
             for _ in range(_BALANCE_STEPS):
-                balanced = remaining * balanced_share(float(wanted.mean()), accumulator.indirect_samples)
+                balanced = remaining * balanced_share(float(wanted.mean()), count, power)
                 wanted = self._distribute(direct.ravel(), max(left, balanced))
         # Never fewer than are taken, and not many more at once: their variance is only estimated.
         taken = accumulator.samples
@@ -219,10 +216,8 @@ class AdaptiveSampler:
         per_sample = variance.samples.astype(np.float32) ** np.float32(-1.5)
         # Direct light has stratified samples; indirect light independent ones, whose noise is partly removed.
         of_mean = VARIANCE_GAIN * _local_mean(variance.direct) * per_sample
-        factor = self._indirect_factor(indirect_share(light.indirect, light.flash + light.sky_and_sun))
-        of_mean += variance.indirect * np.float32(factor / max(variance.indirect_samples, 1))
-        if self._gathered:
-            of_mean += _lost_square(light.indirect, variance.white)
+        share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
+        of_mean += variance.indirect * np.float32(self._indirect_factor(share, variance.indirect_samples))
         # Both in codes of the image, where their mean squares are compared.
         error, noise = codes.squared(of_mean, _MAX_ERROR), np.square(codes.noise)
         return SamplingError(
@@ -234,11 +229,12 @@ class AdaptiveSampler:
             below_half_of_noise=float((error <= 0.25 * noise).mean()),
         )
 
-    def _indirect_factor(self, share: float) -> float:
-        """Fraction of the variance of indirect light that remains; `share` is its part of all light."""
+    def _indirect_factor(self, share: float, samples: int) -> float:
+        """Variance of the mean of indirect light over that of a sample; `share` is its part of all light."""
+        count = max(samples, 1)
         if self._gathered:
-            return _GATHERED_ERROR**2
-        return denoised_error(share) ** 2 if self._denoised else 1.0
+            return _GATHERED_ERROR**2 * count**-0.5
+        return (denoised_error(share) ** 2 if self._denoised else 1.0) / count
 
     def _code_response(self, signal: Callable[[], Floats], white: NDArray[np.float64]) -> CodeResponse:
         if self._codes is None:
@@ -267,12 +263,19 @@ class SamplingError:
     below_half_of_noise: float
 
 
-def sampling_metadata(parts: Sequence[SamplingError], target: float | None) -> dict[str, Any]:
-    """Describe the samples of an image and their error for its JSON file, from those of its parts."""
+def sampling_metadata(
+    parts: Sequence[SamplingError], target: float | None, measured: float | None = None
+) -> dict[str, Any]:
+    """Describe the samples of an image and their error for its JSON file, from those of its parts.
+
+    `measured` is the error of the whole image, where it was measured, in codes.
+    """
     rms_error, rms_noise = (
         float(np.sqrt(np.float32(_mean_over_pixels(parts, name))))
         for name in ("squared_error", "squared_noise")
     )
+    if measured is not None:
+        rms_error = measured
     # Both are 0 in an overexposed image.
     ratio = rms_error / rms_noise if rms_noise > 0.0 else 0.0
     return {
@@ -294,18 +297,20 @@ def _mean_over_pixels(parts: Sequence[SamplingError], name: str) -> float:
     return first + sum((float(getattr(part, name)) - first) * (part.pixels / pixels) for part in parts)
 
 
-def balanced_share(direct_samples: float, indirect_samples: int) -> float:
-    """Variance of direct over that of indirect light at which time times variance of the image is smallest.
+def balanced_share(direct_samples: float, indirect_samples: int, power: float = 1.0) -> float:
+    """Variance of direct over that of indirect light at which time^p times variance of the image is smallest.
 
     With n direct samples, the time is proportional to c m + n, and the variance to a + b n^(-3/2); m is the
     number of indirect samples and c their cost. The derivative of the product is 0 at b n^(-3/2) / a =
-    n / (3/2 c m + n / 2).
+    p n / (3/2 c m + (3/2 - p) n).
 
     Args:
         direct_samples: mean over the pixels.
         indirect_samples: of each pixel.
+        power: p, by which the variance of indirect light falls as the number of its samples rises.
     """
-    return direct_samples / (1.5 * _INDIRECT_COST * indirect_samples + 0.5 * direct_samples)
+    time = 1.5 * _INDIRECT_COST * indirect_samples + (1.5 - power) * direct_samples
+    return power * direct_samples / time
 
 
 def denoised_error(share: float) -> float:
@@ -330,11 +335,6 @@ def _variance_scale(variance: Floats, allowed: float, max_samples: int) -> float
         is_enough = np.mean(VARIANCE_GAIN * variance * samples**-1.5) <= allowed
         low, high = (low, middle) if is_enough else (middle, high)
     return float(np.exp2(high))
-
-
-def _lost_square(indirect: Floats, white: NDArray[np.float64]) -> Floats:
-    """`(h, w)` square of what the denoiser loses of gathered light `(h, w, c)`, in units of white."""
-    return np.asarray(np.square(indirect * (_GATHERED_BIAS / white).astype(np.float32)).sum(axis=-1))
 
 
 def _local_mean(variance: Floats) -> Floats:

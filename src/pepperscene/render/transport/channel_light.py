@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.render.quality import Gathering
-from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums, sum_samples
+from pepperscene.render.transport.accumulate import Images, SampleAccumulator, SampleSums, sum_samples
 from pepperscene.render.transport.channel_paths import first_point, scattered_light
 from pepperscene.render.transport.gathering import fill_cache, gathered_light
 from pepperscene.render.transport.light_cache import LightCache
@@ -62,6 +62,20 @@ class ChannelLight:
     ) -> SampleSums:
         """Sums of direct light over samples from the first on; pixels as of `sum_samples`."""
         return sum_samples(self.tables, pixels, first, count, self.seed, _direct_light, within=within)
+
+    def independent(self, pixels: NDArray[np.int64], count: int, number: int) -> Images:
+        """`(n, c)` means of all light in some pixels over samples that are independent of all others.
+
+        `number` is 0 or more; each has samples of its own.
+        """
+        all_light, seed = functools.partial(_all_light, indirect=self._indirect_light), self.seed
+        for _ in range(number + 1):
+            seed = (seed * 0x9E3779B1 + 0x85EBCA6B) & 0xFFFFFFFF
+        sums = sum_samples(self.tables, pixels, 0, count, seed, all_light)
+        c = self.tables.channels
+        parts = zip(sums[:c], sums[c : 2 * c], sums[3 * c + 5 : 4 * c + 5], strict=True)
+        light = np.stack([sum(part) for part in parts], axis=-1)
+        return np.asarray(light / np.float32(count), np.float32)
 
     def sum_all(self, count: int, within: tuple[int, int] | None = None) -> SampleSums:
         """Sums of all light over the first samples of all pixels, or of those within limits."""

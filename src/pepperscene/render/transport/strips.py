@@ -9,6 +9,7 @@ beforehand: so it is the same in all tiles. A small image is a single strip, wit
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -21,13 +22,15 @@ from pepperscene.camera import Camera
 from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.accumulate import GuidedLight, TracedLight
-from pepperscene.render.transport.adaptive import AdaptiveSampler, sampling_metadata
+from pepperscene.render.transport.adaptive import AdaptiveSampler, makes_images, sampling_metadata
+from pepperscene.render.transport.channel_light import ChannelLight
 from pepperscene.render.transport.denoise import (
     FilterSetting,
     denoised,
     filtered_indirect,
     setting_of_part,
 )
+from pepperscene.render.transport.measured_error import TEST_SAMPLES, measured_error
 from pepperscene.render.transport.trace import FrameLight, Sampling, in_rows, sum_of_parts, trace_rows
 from pepperscene.render.variant import mitsuba_modules
 
@@ -72,6 +75,14 @@ class LightPart:
         light = trace_rows(self.source, sampling, rows)
         return in_rows(light, None if self.share is None else self.share[rows])
 
+    def independent(self, pixels: NDArray[np.int64], number: int) -> Image:
+        """`(n, c)` gathered light in some pixels, from samples of their own; see `measured_error`."""
+        assert isinstance(self.source, ChannelLight)
+        light = self.source.independent(pixels, TEST_SAMPLES, number)
+        if self.share is None:
+            return light
+        return light * self.share[pixels // self.source.tables.rays.width, None].astype(np.float32)
+
 
 def trace_in_strips(
     camera: Camera, quality: Quality, parts: Sequence[LightPart], *, is_divided: bool = False
@@ -114,10 +125,18 @@ def trace_in_strips(
             errors.append(sampler(quality.target, rows).error(sum_of_parts(lights)))
         else:
             errors.append(adaptive.error(lights[-1]))
+    measured = None
+    if quality.denoise and quality.directions and makes_images(camera):
+        measured = measured_error(camera, signal, functools.partial(_independent, parts))
     if len(strips) > 1:
         # What the device keeps for later would add to the memory of developing the image.
         mitsuba_modules()[1].flush_malloc_cache()
-    return signal, sampling_metadata(errors, quality.target)
+    return signal, sampling_metadata(errors, quality.target, measured)
+
+
+def _independent(parts: Sequence[LightPart], pixels: NDArray[np.int64], number: int) -> Image:
+    """`(n, c)` light of the parts in some pixels, from samples of their own; see `measured_error`."""
+    return np.asarray(sum(part.independent(pixels, number) for part in parts), np.float32)
 
 
 def _finisher(
