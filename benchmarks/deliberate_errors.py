@@ -222,7 +222,7 @@ ERRORS = (
         "factor",
         "centre = fruit.pose[:3, 3] + fruit.pose[:3, :3] @ (0.5 * (fruit.low + fruit.high))",
         "centre = fruit.pose[:3, 3] + fruit.pose[:3, :3] @ (0.5 * (fruit.high - fruit.low))",
-        ("truth", "laws", "building"),
+        ("truth", "export", "laws", "building"),
     ),
     Error(
         "factor",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from pepperscene.classes import OrganClass
 from pepperscene.errors import InputError
 from pepperscene.recipe.plan import frame_seed
 from pepperscene.recipe.resolve.load import load_recipe
-from pepperscene.scene import view_frustums
+from pepperscene.scene import light_reach, view_frustums
 
 LABELS = ("class", "distance")
 
@@ -202,3 +202,14 @@ def test_the_reach_of_light_covers_all_limits_of_automatic_exposures():
     long, short = (largest_light_reach([setup]).sky for setup in setups)
     assert long > 2 * short > 0
     assert largest_light_reach(setups).sky == long
+
+
+@pytest.mark.parametrize("elevation_deg", [10.0, 60.0])
+def test_the_sun_reaches_as_far_as_its_irradiance_across_the_beam(elevation_deg):
+    daylight = {"illuminance_lx": 20_000.0, "sun_fraction": 0.6, "sun_elevation_deg": elevation_deg}
+    recipe = load_recipe("barth2018", {f"daylight.{key}": value for key, value in daylight.items()})
+    setup = FrameRenderer(recipe).setups.at(recipe.plan.frame(0))
+    # 12,000 lx on the ground are more across the beam of a low sun; the sky has the other 8,000 lx.
+    across_lx = 12_000.0 / np.cos(np.radians(90.0 - elevation_deg))
+    expected = light_reach(setup.camera, recipe.views.subject_m, 8000.0, across_lx)
+    assert astuple(largest_light_reach([setup])) == pytest.approx(astuple(expected))

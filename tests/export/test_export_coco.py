@@ -93,6 +93,12 @@ def test_annotation_ids_are_unique_in_all_splits_and_positive(out, truth):
     ids = [annotation["id"] for part in parts for annotation in part.dataset["annotations"]]
     assert len(set(ids)) == len(ids)
     assert min(ids) > 0
+    # Each image has a range of its own, for organs and for the rest of each class.
+    assert all(
+        annotation["id"] // (2 * REST) == annotation["image_id"]
+        for part in parts
+        for annotation in part.dataset["annotations"]
+    )
     assert {tuple(sorted(part.imgs)) for part in parts} == {FRAMES[:4], FRAMES[4:]}
 
 

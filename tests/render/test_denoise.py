@@ -39,6 +39,7 @@ def traced_light(indirect, *, flash=0.0, sky_and_sun=0.0, coverage=1.0, albedo=0
         albedo=full(albedo) * cover[..., None],
         normal=full((0.0, 0.0, 1.0), 3) * cover[..., None],
         coverage=np.repeat(cover[..., None], 2, axis=-1),
+        variance=SimpleNamespace(indirect_samples=4),
     )
 
 

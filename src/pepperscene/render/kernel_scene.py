@@ -91,9 +91,9 @@ class KernelScene:
         """Trace light with our integrator: all together, or the parts of an exposure one by one."""
         grid, lights = response.grid_nm, []
         light_scene, sky = self.light_scene(float(grid[0]), float(grid[-1])), sky_tables(scene, grid)
-        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
         if response.by_band:
             quality = dataclasses.replace(quality, directions=0)  # bands are traced along paths
+        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
         together: list[ExposurePart | None] = [None]
         streams, still = sampling.spawn(len(parts)) if parts else [sampling], self.rays(camera)
         for part, stream in zip(parts or together, streams, strict=True):
@@ -135,6 +135,8 @@ class KernelScene:
         response = spectral_response(lit, scene)
         if not needs_long_paths(scene, response, self._surface_triangles):
             quality = dataclasses.replace(quality, most_bounces=0)
+        # The light of imagers is traced along paths.
+        quality = dataclasses.replace(quality, directions=0)
         quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
         adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
         light_scene = self.imager_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))

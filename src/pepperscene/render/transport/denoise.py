@@ -75,6 +75,9 @@ _NEIGHBOURHOOD: Final = 97
 back; from 65 to 193 the error is the same within 1 %."""
 _CLEAN_FROM: Final = 0.2
 """Chosen: share of indirect light, in electrons, from which guides count as free of noise."""
+_CLEAN_SAMPLES: Final = 4
+"""Chosen: samples of indirect light from which on the larger network is worth its time. With 2, the error of
+a draft of `greenhouse` is 6.49 instead of 6.33 codes without it, in 3.7 instead of 4.9 s of CPU time."""
 _AREA: Final = 16  # pixels; as in the filter itself
 _DARK: Final = 1e-8  # areas without light have no logarithm; as in the filter itself
 _MIDDLE_GREY: Final = 0.18  # as in the filter itself
@@ -132,8 +135,13 @@ def denoised_indirect(light: TracedLight) -> Image:
     level = float(light.indirect.mean(dtype=np.float64))
     if level <= 0.0:
         return light.indirect
+    return filtered_indirect(light, FilterSetting(level, clean_guides=_has_clean_guides(light)))
+
+
+def _has_clean_guides(light: TracedLight) -> bool:
+    """Whether the filter takes guides for free of noise, with the larger network."""
     share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
-    return filtered_indirect(light, FilterSetting(level, clean_guides=share > _CLEAN_FROM))
+    return share > _CLEAN_FROM and light.variance.indirect_samples >= _CLEAN_SAMPLES
 
 
 def setting_of_part(light: TracedLight) -> FilterSetting:
@@ -141,14 +149,13 @@ def setting_of_part(light: TracedLight) -> FilterSetting:
     level = float(light.indirect.mean(dtype=np.float64))
     if level <= 0.0:
         return FilterSetting(level, clean_guides=False)
-    share = indirect_share(light.indirect, light.flash + light.sky_and_sun)
     traced, levels = np.asarray(light.indirect / level, np.float32), None
     images: Iterable[Image] = [traced]
     if _has_bands(light):
         levels = band_levels(traced)
         images = broad_images(traced, levels)
     exposures = tuple(_exposure(image) for image in images)
-    return FilterSetting(level, share > _CLEAN_FROM, exposures, levels)
+    return FilterSetting(level, _has_clean_guides(light), exposures, levels)
 
 
 def _exposure(image: Image) -> float:
