@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from blade_meshes import KAITE, LENGTH, WIDTH, areas, blade, droop, edges, organ, random_organ
+from blade_meshes import KAITE, LENGTH, WIDTH, areas, blade, droop, edges, margin, organ, random_organ
 from scipy.spatial.transform import Rotation
 
 from pepperscene.geometry.blade.blades import mesh_blades
@@ -91,6 +91,15 @@ def test_midrib_follows_the_curve():
     tips = np.array([blade(seed=rng.random(), margin_wave_m=0.004).vertices[0, -1] for _ in range(30)])
     assert tips[:, 2].mean() < -0.001
     assert np.abs(tips - [0.0, LENGTH, 0.0]).max() < 0.2 * LENGTH
+
+
+@pytest.mark.parametrize("seed", [0.1, 0.37, 0.7])
+def test_margins_of_folded_wavy_blades_are_smooth_between_the_rows(seed):
+    # A wave is at right angles to the folded half, at the points between the rows as at those of the rows.
+    batch = blade(seed=seed, detail=2.0, fold_rad=0.9, margin_wave_m=0.004, margin_waves=4.0)
+    across = margin(batch.vertices[0], batch.faces)[:, 0]
+    bend = across - 0.5 * (np.roll(across, 1) + np.roll(across, -1))
+    assert np.abs(bend[3:-3]).max() < 0.0025
 
 
 def test_waves_have_the_stated_amplitude():
