@@ -116,7 +116,10 @@ def image_electrons(signal: NDArray[np.float32], camera: Camera) -> NDArray[Any]
 
 
 def stray_light_factor(camera: Camera) -> float:
-    """What stray light leaves of a deviation that is independent from pixel to pixel; 1 if switched off."""
+    """What stray light leaves of a deviation that is independent from pixel to pixel; 1 if switched off.
+
+    The root mean square of the factors on the image's frequencies (Parseval's theorem).
+    """
     if not camera.developing.stray_light:
         return 1.0
     dtype = "float64" if is_whole(camera.width, camera.height) else "float32"
@@ -158,6 +161,7 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating
 
 
 def _camera_transfer(camera: Camera, size: tuple[int, int], dtype: str) -> NDArray[np.floating]:
+    """The factors of `_transfer` for an image `(h, w)` of a camera."""
     lens, sensor = camera.lens, camera.sensor
     return _transfer(
         lens.stray_light, lens.f_number, sensor.pixel_pitch_m, _mean_wavelength_m(sensor), size, dtype

@@ -70,6 +70,7 @@ class ChannelLight:
         """
         all_light, seed = functools.partial(_all_light, indirect=self._indirect_light), self.seed
         for _ in range(number + 1):
+            # Any other seed gives other samples; a linear congruential step with chosen odd constants.
             seed = (seed * 0x9E3779B1 + 0x85EBCA6B) & 0xFFFFFFFF
         sums = sum_samples(self.tables, pixels, 0, count, seed, all_light)
         c = self.tables.channels

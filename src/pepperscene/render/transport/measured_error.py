@@ -22,17 +22,23 @@ from pepperscene.camera.image.expected_image import expected_image
 Image = NDArray[np.float32]
 
 _GRID: Final = 32
-TEST_SAMPLES: Final = 32
-"""Pixels along each side of the grid that is tested, and samples of each mean. Chosen: they take .3 s of CPU
-time. In three frames of `greenhouse`, 800x600, drafts and standard frames, the result is .84 to 1.01 of the
-true error."""
+_LEAST_SAMPLES: Final = 32
+"""Pixels along each side of the grid that is tested, and the least number of samples of each mean. Chosen:
+they take .3 s of CPU time. In three frames of `greenhouse`, 800x600, as drafts and in standard quality, the
+result is .84 to 1.01 of the true error."""
+_TESTS_PER_SOFT: Final = 4  # chosen: the noise of the result then falls as fast as the error
 _GOLDEN_RATIO: Final = 0.618034
+
+
+def samples_of_mean(soft: int) -> int:
+    """Samples of each mean for an image with so many samples of indirect light in each pixel."""
+    return max(_LEAST_SAMPLES, _TESTS_PER_SOFT * soft)
 
 
 def measured_error(
     camera: Camera, signal: Image, independent: Callable[[NDArray[np.int64], int], Image]
-) -> float:
-    """Root mean square error of an image's light, codes.
+) -> float | None:
+    """Root mean square error of an image's light, codes; None if the means are too noisy to tell it.
 
     Stray light averages the errors of neighbours, which are taken to be independent.
 
@@ -57,4 +63,4 @@ def measured_error(
     of_light = replace(camera, developing=noiseless)
     codes, first, second = (255.0 * expected_image((light * electrons)[None], of_light) for light in lights)
     square = float(np.mean((codes - first) * (codes - second), dtype=float))
-    return math.sqrt(max(square, 0.0)) * stray_light_factor(camera)
+    return math.sqrt(square) * stray_light_factor(camera) if square > 0.0 else None

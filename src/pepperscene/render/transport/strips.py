@@ -30,7 +30,7 @@ from pepperscene.render.transport.denoise import (
     filtered_indirect,
     setting_of_part,
 )
-from pepperscene.render.transport.measured_error import TEST_SAMPLES, measured_error
+from pepperscene.render.transport.measured_error import measured_error, samples_of_mean
 from pepperscene.render.transport.trace import FrameLight, Sampling, in_rows, sum_of_parts, trace_rows
 from pepperscene.render.variant import mitsuba_modules
 
@@ -75,10 +75,10 @@ class LightPart:
         light = trace_rows(self.source, sampling, rows)
         return in_rows(light, None if self.share is None else self.share[rows])
 
-    def independent(self, pixels: NDArray[np.int64], number: int) -> Image:
+    def independent(self, samples: int, pixels: NDArray[np.int64], number: int) -> Image:
         """`(n, c)` gathered light in some pixels, from samples of their own; see `measured_error`."""
         assert isinstance(self.source, ChannelLight)
-        light = self.source.independent(pixels, TEST_SAMPLES, number)
+        light = self.source.independent(pixels, samples, number)
         if self.share is None:
             return light
         return light * self.share[pixels // self.source.tables.rays.width, None].astype(np.float32)
@@ -127,16 +127,17 @@ def trace_in_strips(
             errors.append(adaptive.error(lights[-1]))
     measured = None
     if quality.denoise and quality.directions and makes_images(camera):
-        measured = measured_error(camera, signal, functools.partial(_independent, parts))
+        independent = functools.partial(_independent, parts, samples_of_mean(quality.soft))
+        measured = measured_error(camera, signal, independent)
     if len(strips) > 1:
         # What the device keeps for later would add to the memory of developing the image.
         mitsuba_modules()[1].flush_malloc_cache()
     return signal, sampling_metadata(errors, quality.target, measured)
 
 
-def _independent(parts: Sequence[LightPart], pixels: NDArray[np.int64], number: int) -> Image:
+def _independent(parts: Sequence[LightPart], samples: int, pixels: NDArray[np.int64], number: int) -> Image:
     """`(n, c)` light of the parts in some pixels, from samples of their own; see `measured_error`."""
-    return np.asarray(sum(part.independent(pixels, number) for part in parts), np.float32)
+    return np.asarray(sum(part.independent(samples, pixels, number) for part in parts), np.float32)
 
 
 def _finisher(
