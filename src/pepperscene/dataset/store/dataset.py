@@ -154,15 +154,15 @@ class Dataset:
 
         columns = table_columns(MANIFEST, self.info)
         checksums = {index: self.written_checksum(index) for index in self.indices()}
-        table = table_schema(columns).empty_table()
+        tables = []
         with suppress(InputError, OSError, pyarrow.ArrowException):
             existing = self._open_table(MANIFEST)
-            if existing.schema.equals(table.schema):
+            if existing.schema.equals(table_schema(columns)):
                 pairs = zip(existing["index"].to_pylist(), existing["checksum"].to_pylist(), strict=True)
                 kept = [index not in rows and checksums.get(index) == checksum for index, checksum in pairs]
-                table = existing.filter(kept)
-        for index in table["index"].to_pylist():
-            del checksums[index]
+                tables = [existing.filter(kept)]
+                for index in tables[0]["index"].to_pylist():
+                    del checksums[index]
 
         # Frames without a row: by this build, or read again.
         timings = read_timings(self.folder, set(checksums.values()))
@@ -172,8 +172,8 @@ class Dataset:
             else frame_row(self._content(index)) | timings.get(checksum, {})
             for index, checksum in checksums.items()
         )
-        new = rows_table((row for row in added if row["index"] is not None), columns)
-        write_table(self.folder / MANIFEST, pyarrow.concat_tables([table, new]).sort_by("index"))
+        tables.append(rows_table((row for row in added if row["index"] is not None), columns))
+        write_table(self.folder / MANIFEST, pyarrow.concat_tables(tables).sort_by("index"))
 
     def _fruit_rows(self, indices: list[int]) -> Iterator[Row]:
         for index in indices:

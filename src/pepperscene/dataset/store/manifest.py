@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
@@ -207,7 +208,9 @@ def _fits(kind: str, value: Any) -> bool:
     if kind == "double" and type(value) is int:
         # Arrow converts no larger ones.
         return _fits("int64", value)
-    return type(value) is {"double": float, "bool": bool, "string": str}[kind]
+    if kind == "double":
+        return type(value) is float and math.isfinite(value)
+    return type(value) is {"bool": bool, "string": str}[kind]
 
 
 def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
@@ -239,12 +242,16 @@ def _xyz(name: str, values: Any) -> Row:
 def rows_table(rows: Iterable[Row], columns: Mapping[str, str]) -> pyarrow.Table:
     """A table with these columns, which are those of `table_columns`; see `stored_row` for the values."""
     import pyarrow
+    from pyarrow.json import ParseOptions, ReadOptions, read_json
 
-    schema, remaining = table_schema(columns), iter(rows)
-    parts = [schema.empty_table()]
-    while part := [stored_row(row, columns) for row in islice(remaining, _ROWS_HELD)]:
-        parts.append(pyarrow.Table.from_pylist(part, schema=schema))
-    return pyarrow.concat_tables(parts)
+    schema, remaining, parts = table_schema(columns), iter(rows), []
+    while part := list(islice(remaining, _ROWS_HELD)):
+        # Arrow's functions that convert Python objects import pandas where it is installed, which takes a second.
+        lines = [json.dumps(stored_row(row, columns)) for row in part]
+        file = pyarrow.BufferReader("\n".join(lines).encode())
+        options = ParseOptions(explicit_schema=schema, unexpected_field_behavior="error")
+        parts.append(read_json(file, ReadOptions(block_size=file.size() + 1), options))
+    return pyarrow.concat_tables(parts) if parts else schema.empty_table()
 
 
 def write_table(path: Path, table: pyarrow.Table) -> None:
