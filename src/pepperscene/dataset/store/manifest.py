@@ -246,7 +246,7 @@ def rows_table(rows: Iterable[Row], columns: Mapping[str, str]) -> pyarrow.Table
 
     schema, remaining, parts = table_schema(columns), iter(rows), []
     while part := list(islice(remaining, _ROWS_HELD)):
-        # Arrow's functions that convert Python objects import pandas where it is installed, which takes a second.
+        # Arrow imports pandas to convert Python objects, where it is installed: a second of every build.
         lines = [json.dumps(stored_row(row, columns)) for row in part]
         file = pyarrow.BufferReader("\n".join(lines).encode())
         options = ParseOptions(explicit_schema=schema, unexpected_field_behavior="error")
