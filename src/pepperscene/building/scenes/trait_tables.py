@@ -76,7 +76,7 @@ PLANT_TABLE: Final[Mapping[str, TableColumn]] = {
     "nodes": TableColumn("int32", "number of nodes of the main stem"),
     "leaf_count": TableColumn("int32", "number of leaf blades; each leaflet of a compound leaf counts"),
     "leaf_area_m2": TableColumn("double", "one-sided area of all leaf blades"),
-    "ground_area_m2": TableColumn("double", "floor for each plant: spacing times half of aisle and gap"),
+    "ground_area_m2": TableColumn("double", "floor of each plant, with its part of the aisle"),
     "leaf_area_index": TableColumn("double", "`leaf_area_m2` over `ground_area_m2`"),
     "fruit_count": TableColumn("int32", "fruit load: number of fruit"),
     "ripe_fruit_count": TableColumn("int32", f"number of fruit with a ripeness of at least {RIPE_FROM:g}"),
