@@ -16,6 +16,7 @@ from typing import IO, Any, Final, cast
 import numpy as np
 
 from pepperscene.camera import Camera
+from pepperscene.camera.poses.generators import check_poses
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.selection import Selection
@@ -24,15 +25,7 @@ from pepperscene.document import validate
 from pepperscene.errors import InputError
 from pepperscene.export.job import ExportJob, open_groups, sequence_groups
 from pepperscene.export.rgbd import STEP_S, camera_matrices
-from pepperscene.export.ros_messages import (
-    Message,
-    definition,
-    header,
-    image,
-    quaternion,
-    transform,
-    vector,
-)
+from pepperscene.export.ros_messages import Message, definition, header, image, pose, transform, vector
 from pepperscene.export.surface import read_colour, read_label, read_surface
 from pepperscene.libraries import import_library
 from pepperscene.recipe.views.fixed_views import view_times
@@ -47,13 +40,13 @@ START_S: Final = 1.0
 """Time of the first step. Chosen: to ROS, time 0 means "the latest"."""
 
 TOPICS: Final = {
-    "/camera/color/image_raw": "sensor_msgs/Image",
-    "/camera/color/camera_info": "sensor_msgs/CameraInfo",
-    "/camera/aligned_depth_to_color/image_raw": "sensor_msgs/Image",
-    "/camera/aligned_depth_to_color/camera_info": "sensor_msgs/CameraInfo",
-    "/camera/instance/image_raw": "sensor_msgs/Image",
-    "/tf": "tf2_msgs/TFMessage",
-    "/fruit/detections": "vision_msgs/Detection3DArray",
+    "/camera/color/image_raw": "sensor_msgs/msg/Image",
+    "/camera/color/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/camera/aligned_depth_to_color/image_raw": "sensor_msgs/msg/Image",
+    "/camera/aligned_depth_to_color/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/camera/instance/image_raw": "sensor_msgs/msg/Image",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/fruit/detections": "vision_msgs/msg/Detection3DArray",
 }
 """Topics and types of their messages; the names of images are those of the RealSense driver."""
 
@@ -82,19 +75,16 @@ def _clock(job: ExportJob) -> Callable[[int], float]:
     rate_hz = job.frame_rate_hz
     if rate_hz is not None:
         return lambda step: step / rate_hz
-    recipe, where = job.dataset.info["recipe"], job.dataset.folder / MARK
+    recipe, where, times = job.dataset.info["recipe"], job.dataset.folder / MARK, None
     varied = (*recipe.get("variation", {}), *recipe.get("twins", {}))
-    if any(key.partition(".")[0] == "views" for key in varied):
-        return lambda step: STEP_S * step
-    views = validate(cast("type[Views]", ViewsTable), recipe["views"], where)
-    greenhouse = validate(Greenhouse, recipe.get("greenhouse") or {}, where)
-    times = view_times(views, job.plan.frames, greenhouse, str(where))
+    if not any(key.partition(".")[0] == "views" for key in varied):
+        views = validate(cast("type[Views]", ViewsTable), recipe.get("views", {}), where)
+        greenhouse = validate(Greenhouse, recipe.get("greenhouse") or {}, where)
+        times = view_times(views, job.plan.frames, greenhouse, str(where))
     if times is None:
         return lambda step: STEP_S * step
     if len(times) < job.plan.frames:
-        raise InputError(
-            where, f"gives {len(times)} views, but plan.frames is {job.plan.frames}", key="views"
-        )
+        raise InputError(where, f"gives only {len(times)} views", key="recipe.views")
     return lambda step: float(times[step])
 
 
@@ -108,7 +98,7 @@ def _messages(frame: DatasetFrame, time_ns: int, selection: Selection) -> Iterat
         image(head, "32FC1", surface.depth_z.astype(np.float32)),
         info,
         image(head, "16UC1", instance),
-        {"transforms": _transforms(frame, surface.camera.pose, time_ns)},
+        {"transforms": _transforms(frame, surface.camera, time_ns)},
     ]
     if "harvest" in frame.metadata["outputs"]:
         objects = frame.objects(selection, instance)
@@ -124,27 +114,28 @@ def _camera_info(head: Message, camera: Camera) -> Message:
     return {"header": head, **size, "distortion_model": model, "d": d, "k": k, "r": r, "p": p}
 
 
-def _transforms(frame: DatasetFrame, pose: np.ndarray, time_ns: int) -> list[Message]:
+def _transforms(frame: DatasetFrame, camera: Camera, time_ns: int) -> list[Message]:
     """The poses of the camera and of each fruit of the harvest truth in the world."""
-    head = header(time_ns, WORLD)
-    fruit = {f"fruit_{value}": np.asarray(one["pose"], dtype=float) for value, one in frame.fruit.items()}
-    return [
-        transform(head, CAMERA, pose),
-        *(transform(head, name, pose @ in_camera) for name, in_camera in fruit.items()),
-    ]
+    poses = np.array([one["pose"] for one in frame.fruit.values()], dtype=float).reshape(-1, 4, 4)
+    try:
+        check_poses(poses)
+    except ValueError as error:
+        path = frame.dataset.path(frame.index, "harvest")
+        raise InputError(path, f"must hold rigid motions: {error}", key="fruit.pose") from None
+    names = [CAMERA, *(f"fruit_{value}" for value in frame.fruit)]
+    head, in_world = header(time_ns, WORLD), [camera.pose, *(camera.pose @ poses)]
+    return [transform(head, name, matrix) for name, matrix in zip(names, in_world, strict=True)]
 
 
 def _detection(head: Message, fruit: Mapping[str, Any], selection: Selection) -> Message:
     """A `vision_msgs/Detection3D`: the box of a fruit along its own axes, in the camera's frame."""
     box, category = fruit["box_3d"], selection.category(OrganClass.PEPPER, fruit)
     assert category is not None  # it is an object
-    rotation = np.asarray(fruit["pose"], dtype=float)[:3, :3]
-    centre = {"position": vector(box["centre"]), "orientation": quaternion(rotation)}
+    centre = pose(box["centre"], np.asarray(fruit["pose"], dtype=float)[:3, :3])
+    hypothesis = {"class_id": category.name, "score": 1.0}  # certain
     return {
         "header": head,
-        "results": [
-            {"hypothesis": {"class_id": category.name, "score": 1.0}, "pose": {"pose": centre}},
-        ],
+        "results": [{"hypothesis": hypothesis, "pose": {"pose": centre}}],
         "bbox": {"center": centre, "size": vector(box["size"])},
         "id": str(fruit["instance"]),
     }
@@ -163,10 +154,9 @@ class _Bag:
         """Add a message."""
         kind = TOPICS[topic]
         if kind not in self._schemas:
-            name = kind.replace("/", "/msg/")
-            self._schemas[kind] = self._writer.register_msgdef(name, definition(kind))
-        number = self._counts[topic]
-        self._writer.write_message(topic, self._schemas[kind], message, time_ns, time_ns, number)
+            self._schemas[kind] = self._writer.register_msgdef(kind, definition(kind))
+        schema, number = self._schemas[kind], self._counts[topic]
+        self._writer.write_message(topic, schema, message, time_ns, sequence=number)
         self._counts[topic] += 1
         self._times.append(time_ns)
 
@@ -184,26 +174,15 @@ class _Bag:
             "starting_time": {"nanoseconds_since_epoch": first},
             "message_count": self._counts.total(),
         }
+        encoding = {"serialization_format": "cdr", "offered_qos_profiles": ""}
         topics = [
             {
-                "topic_metadata": {
-                    "name": topic,
-                    "type": TOPICS[topic].replace("/", "/msg/"),
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": "",
-                },
+                "topic_metadata": {"name": topic, "type": TOPICS[topic], **encoding},
                 "message_count": count,
             }
             for topic, count in self._counts.items()
         ]
-        information = {
-            "version": 5,
-            "storage_identifier": "mcap",
-            **span,
-            "topics_with_message_count": topics,
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [BAG],
-            "files": [{"path": BAG, **span}],
-        }
-        return str(yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False))
+        information = {"version": 5, "storage_identifier": "mcap", **span}
+        information |= {"topics_with_message_count": topics, "files": [{"path": BAG, **span}]}
+        information |= {"compression_format": "", "compression_mode": "", "relative_file_paths": [BAG]}
+        return str(yaml.safe_dump({"rosbag2_bagfile_information": information}))

@@ -7,11 +7,12 @@ geometry_msgs), https://github.com/ros2/geometry2 (tf2_msgs), https://github.com
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Message = dict[str, Any]
 
@@ -55,16 +56,14 @@ _FIELDS: Final[Mapping[str, str]] = {
 
 
 def definition(name: str) -> str:
-    """The definition of a type with those of all types that it contains, as MCAP files hold it."""
-    # Each type once, in the order in which they occur.
-    order = [name]
+    """The definition of a type, such as "sensor_msgs/msg/Image", with those that it contains, as in MCAP."""
+    order = [name.replace("/msg/", "/")]
     for one in order:
-        kinds = (field.split()[0].partition("[")[0] for field in _FIELDS[one].split("; "))
-        order += [kind for kind in dict.fromkeys(kinds) if kind in _FIELDS and kind not in order]
-    separator = f"{'=' * 80}\nMSG: "
-    texts = [_FIELDS[one].replace("; ", "\n") + "\n" for one in order]
-    heads = ["", *(f"{separator}{one}\n" for one in order[1:])]
-    return "".join(head + text for head, text in zip(heads, texts, strict=True))
+        contained = re.findall(r"\w+/\w+", _FIELDS[one])
+        order += [kind for kind in dict.fromkeys(contained) if kind not in order]
+    texts = {one: _FIELDS[one].replace("; ", "\n") + "\n" for one in order}
+    own = texts.pop(order[0])
+    return own + "".join(f"{'=' * 80}\nMSG: {one}\n{text}" for one, text in texts.items())
 
 
 def header(time_ns: int, frame_id: str) -> Message:
@@ -81,20 +80,21 @@ def image(head: Message, encoding: str, pixels: NDArray[Any]) -> Message:
     return {"header": head, **size, "encoding": encoding, "is_bigendian": 0, "data": content.tobytes()}
 
 
-def vector(values: NDArray[np.floating[Any]]) -> Message:
+def vector(values: ArrayLike) -> Message:
     """A `geometry_msgs/Point` or `Vector3` of `(3,)` values."""
     return dict(zip("xyz", np.asarray(values, dtype=float).tolist(), strict=True))
 
 
-def quaternion(rotation: NDArray[np.floating[Any]]) -> Message:
-    """A `geometry_msgs/Quaternion` of a rotation matrix `(3, 3)`."""
+def pose(position: ArrayLike, rotation: NDArray[np.floating[Any]]) -> Message:
+    """A `geometry_msgs/Pose` at a position `(3,)`, turned by a rotation matrix `(3, 3)`."""
     from scipy.spatial.transform import Rotation
 
-    values = Rotation.from_matrix(np.asarray(rotation, dtype=float)).as_quat(canonical=True)
-    return dict(zip("xyzw", values.tolist(), strict=True))
+    turn = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
+    return {"position": vector(position), "orientation": dict(zip("xyzw", turn, strict=True))}
 
 
-def transform(head: Message, child: str, pose: NDArray[np.floating[Any]]) -> Message:
+def transform(head: Message, child: str, matrix: NDArray[np.floating[Any]]) -> Message:
     """A `geometry_msgs/TransformStamped`: the pose `(4, 4)` of a frame in that of the header."""
-    content = {"translation": vector(pose[:3, 3]), "rotation": quaternion(pose[:3, :3])}
+    found = pose(matrix[:3, 3], matrix[:3, :3])
+    content = {"translation": found["position"], "rotation": found["orientation"]}
     return {"header": head, "child_frame_id": child, "transform": content}

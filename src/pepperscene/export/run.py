@@ -170,13 +170,10 @@ def _check_options(options: Mapping[str, Any], export_format: ExportFormat) -> N
 
 def _check_frame_rate(frame_rate_hz: float | None, export_format: ExportFormat) -> None:
     """Raise `ArgumentError` if a frame rate is not valid or does not apply to a format."""
-    if frame_rate_hz is None:
-        return
-    if not export_format.has_clock:
-        problem = f"{frame_rate_hz:g} does not apply: frames of {export_format.name} have no times"
-        raise ArgumentError("frame_rate", problem)
     low, high = _FRAME_RATES
-    if not low <= frame_rate_hz <= high:
+    if frame_rate_hz is not None and not export_format.has_clock:
+        raise ArgumentError("frame_rate", f"does not apply: frames of {export_format.name} have no times")
+    if frame_rate_hz is not None and not low <= frame_rate_hz <= high:
         raise ArgumentError("frame_rate", f"{frame_rate_hz:g} must be {low:g} to {high:g} a second")
 
 

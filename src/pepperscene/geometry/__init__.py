@@ -7,7 +7,6 @@ from pepperscene.geometry.export import check_mesh_format, mesh_files, organ_nam
 from pepperscene.geometry.mesh import Mesh, concatenate_meshes, single_instance_mesh
 from pepperscene.geometry.plant_mesh import mesh_plant
 from pepperscene.geometry.primitives import rectangle, sphere
-from pepperscene.geometry.sizes import OrganSizes, organ_sizes
 from pepperscene.geometry.tubes.stem import stem_branches, stem_profile
 from pepperscene.geometry.tubes.twine import twine_mesh
 
@@ -15,7 +14,6 @@ __all__ = [
     "ContactCounts",
     "JointRotation",
     "Mesh",
-    "OrganSizes",
     "ResolvedMesh",
     "check_mesh_format",
     "concatenate_meshes",
@@ -23,7 +21,6 @@ __all__ = [
     "mesh_plant",
     "move_plant",
     "organ_names",
-    "organ_sizes",
     "rectangle",
     "resolve_contacts",
     "single_instance_mesh",

@@ -146,9 +146,9 @@ def _columns(names: Iterable[str], kind: str, meaning: str) -> dict[str, TableCo
     return dict.fromkeys(names, TableColumn(kind, meaning))
 
 
-def axis_columns(name: str, meaning: str, kind: str = "double") -> dict[str, TableColumn]:
+def axis_columns(name: str, meaning: str) -> dict[str, TableColumn]:
     """Columns of the three coordinates; `name` has `{}` in the place of the axis."""
-    return _columns((name.format(axis) for axis in "xyz"), kind, meaning)
+    return _columns((name.format(axis) for axis in "xyz"), "double", meaning)
 
 
 FRUIT_TABLE: Final[Mapping[str, TableColumn]] = {
