@@ -16,6 +16,7 @@ from traced_set import LENSES, make_traced_set, reprojection_error, visible_pixe
 
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
+from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.export import export_dataset
 from pepperscene.export.mcap import BAG, CAMERA, TOPICS
@@ -231,6 +232,23 @@ def test_mistakes_are_refused(traced, tmp_path, monkeypatch):
         patch.setitem(sys.modules, "mcap_ros2", None)
         with pytest.raises(SetupError, match=r"pepperscene\[ros\]"):
             export_dataset(folder, "mcap", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_fruit_without_a_pose_is_an_error(rendered, tmp_path, monkeypatch):
+    image = DatasetFrame.image
+
+    def damaged(frame, output):
+        content = image(frame, output)
+        if output == "harvest":
+            content["fruit"][0]["pose"] = np.zeros((4, 4)).tolist()
+        return content
+
+    monkeypatch.setattr(DatasetFrame, "image", damaged)
+    with pytest.raises(
+        InputError, match=r"harvest/000005\.json: fruit\.pose: must hold rigid motions: pose 0"
+    ):
+        export_dataset(rendered.folder, "mcap", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
