@@ -774,6 +774,22 @@ def harvest() -> Image.Image:
     return crop(np.asarray(Image.open(IMAGES / "harvest.jpg").convert("RGB")), 340, 2, 232)
 
 
+def tables() -> Image.Image:
+    """Leaf area above the floor of the plants of a row, from the table of leaves."""
+    traits = ps.plant_traits("barth2018", 125)
+    height, area = (np.array(traits.leaves[name].to_pylist()) for name in ("z_m", "area_m2"))
+    index = traits.plants["leaf_area_index"].to_pylist()
+    figure, axes = chart(left=0.17)
+    for plant in range(len(index)):
+        own = np.array(traits.leaves["plant"].to_pylist()) == plant
+        order = np.argsort(height[own])
+        axes.plot(np.cumsum(area[own][order]), height[own][order], color=GREEN, lw=0.8, alpha=0.6)
+    axes.set_xlabel("leaf area below, m²", fontsize=FONT_PT, labelpad=1)
+    axes.set_ylabel("height, m", fontsize=FONT_PT, labelpad=1)
+    axes.text(0.05, 0.9, f"LAI {np.mean(index):.1f}", transform=axes.transAxes, fontsize=FONT_PT, color=INK)
+    return drawn(figure)
+
+
 def check() -> Image.Image:
     """Borders of instances over the photograph: correct, and shifted as in a faulty data set."""
     left, top, width, height, shift = 160, 300, 160, 213, 9
@@ -1159,7 +1175,7 @@ PHOTOGRAPHS: Final = (
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (
-    colour_tuning, views, cluster, report, compare, benchmark, troubleshooting, command_line, recipe,
+    tables, colour_tuning, views, cluster, report, compare, benchmark, troubleshooting, command_line, recipe,
     devices, patches, tuning_parameters, tuning_files, pose_files, conventions, api, glossary,
     architecture, reliability, optics, colour, learning,
 )  # fmt: skip

@@ -5,6 +5,9 @@ from .building.execution.single_frame import render_frame as render_frame
 from .building.scenes.frame_renderer import FrameRenderer as FrameRenderer
 from .building.scenes.plants import GrownPlant as GrownPlant
 from .building.scenes.plants import grow_plant as grow_plant
+from .building.scenes.trait_tables import PlantTraits as PlantTraits
+from .building.scenes.trait_tables import plant_traits as plant_traits
+from .building.scenes.trait_tables import write_traits as write_traits
 from .camera import Camera as Camera
 from .camera import Developing as Developing
 from .camera import Motion as Motion

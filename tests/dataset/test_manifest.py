@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ import pytest
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.journal import JOURNAL
-from pepperscene.dataset.store.manifest import FRAME_COLUMNS, FRUIT_COLUMNS, MANIFEST
+from pepperscene.dataset.store.manifest import FRAME_COLUMNS, MANIFEST
 from pepperscene.errors import InputError, OutputError
 
 pytestmark = pytest.mark.usefixtures("empty_scenes")
@@ -161,11 +159,32 @@ def test_journal_that_cannot_be_written_is_an_error_with_its_name(make, tmp_path
     assert open_dataset(tmp_path / "set").manifest()["render_s"].to_pylist()[0] is not None
 
 
-def test_fruit_table_needs_harvest_and_the_page_lists_its_columns(make):
+def test_fruit_table_needs_harvest(make):
     with pytest.raises(InputError, match="harvest"):
         open_dataset(make("0:1")).fruit()
-    page = Path("docs/reference/harvest.md").read_text(encoding="utf-8")
-    section = page.partition("## Table of fruit")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| (`.*?) \| (\w+) \|", section, re.MULTILINE)
-    listed = [(name, kind) for names, kind in rows for name in re.findall(r"`(\w+)`", names)]
-    assert listed == list(FRUIT_COLUMNS.items())
+
+
+def test_fruit_has_world_positions(rendered):
+    rows = rendered.fruit().to_pylist()
+    assert any(row["cut_x_m"] is not None for row in rows)
+    for row in rows:
+        pose = np.array(rendered.metadata(row["index"])["camera"]["pose"])
+        (truth,) = (
+            one
+            for one in rendered.image(row["index"], "harvest")["fruit"]
+            if one["instance"] == row["instance"]
+        )
+
+        def values(name, row=row):
+            return [row[name.format(axis)] for axis in "xyz"]
+
+        np.testing.assert_allclose(
+            pose[:3, :3] @ values("foot_{}_m") + pose[:3, 3], values("foot_world_{}_m"), atol=2e-6
+        )
+        assert values("blossom_world_{}_m") == truth["blossom_end"]["world_m"]
+        if row["cut_x_m"] is not None:
+            found = pose[:3, :3] @ values("cut_{}_m") + pose[:3, 3]
+            np.testing.assert_allclose(found, values("cut_world_{}_m"), atol=2e-6)
+        if row["approach_x"] is not None:
+            found = pose[:3, :3] @ values("approach_{}")
+            np.testing.assert_allclose(found, values("approach_world_{}"), atol=1e-8)

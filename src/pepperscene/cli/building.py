@@ -15,12 +15,13 @@ from pepperscene.cli.application import (
     OutputsOption,
     QualityOption,
     RecipeArgument,
+    SeedOption,
     SetOption,
     command,
     parse_outputs,
 )
 from pepperscene.cli.options import Only
-from pepperscene.cli.progress import echo_note
+from pepperscene.cli.progress import echo_note, echo_progress
 from pepperscene.errors import ArgumentError
 from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.options import Option
@@ -230,6 +231,36 @@ def plant(
         f"{contacts.blades_touching} of {contacts.blades} blades a stem"
     )
     for path in result.files:
+        typer.echo(path)
+
+
+@command
+def traits(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder of the tables; created if missing.")],
+    recipe: RecipeArgument = "demo",
+    frame: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Frame whose scene is measured, counted from 0. Default: the first selected."
+        ),
+    ] = None,
+    form: Annotated[
+        str, typer.Option("--format", metavar="parquet|csv", help="Format of the files.")
+    ] = "parquet",
+    seed: SeedOption = None,
+    set: SetOption = None,
+) -> None:
+    """Write traits of each plant, leaf and fruit of a scene as tables, on all dates of a growth series."""
+    from pepperscene.building.scenes.trait_tables import check_traits_output, plant_traits, write_traits
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
+
+    check_traits_output(out, form)
+    changes = parse_changes(set or ()) | ({} if seed is None else {"seed": seed})
+    tables = plant_traits(resolve_recipe(recipe, changes), frame, echo_progress)
+    plants, leaves, fruit = (table.num_rows for table in (tables.plants, tables.leaves, tables.fruit))
+    typer.echo(f"{plants:,} plants, {leaves:,} leaves, {fruit:,} fruit")
+    for path in write_traits(tables, out, form):
         typer.echo(path)
 
 

@@ -133,11 +133,20 @@ class ExportSelection:
             "F",
         ),
     ] = None
+    frame_rate: Annotated[
+        float | None,
+        Option("Frames per second of mcap. Default: the speed of the recipe's path, else 1.", "HZ"),
+    ] = None
     truncated: Annotated[str, Option("Objects that the image border may cut.", "keep|drop")] = "keep"
 
     def arguments(self) -> dict[str, Any]:
         """Arguments of `export_dataset`."""
-        names = {"smallest": "smallest_px", "min_visibility": "least_visible", "ripe": "ripe_from"}
+        names = {
+            "smallest": "smallest_px",
+            "min_visibility": "least_visible",
+            "ripe": "ripe_from",
+            "frame_rate": "frame_rate_hz",
+        }
         return {names.get(name, name): value for name, value in vars(self).items()}
 
 

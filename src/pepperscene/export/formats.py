@@ -34,6 +34,7 @@ class ExportFormat:
     reserved: tuple[str, ...] = ()  # names that no split may have: of other folders, or of other keys
     has_background: bool = False  # whether the background can be a class
     has_masks: bool = False  # whether ignored pixels, if there can be some, are written as masks
+    has_clock: bool = False  # whether frames have times
     has_crowds: bool = True  # whether fruit of unknown ripeness is marked as such, not left out
 
     def write(self, job: ExportJob, folder: Path) -> None:
@@ -139,6 +140,16 @@ _ALL: Final = (
         library="rerun",
         extra="rerun",
         smallest_px=1,
+    ),
+    ExportFormat(
+        "mcap",
+        "a ROS 2 bag: camera, depth, instances and transforms",
+        (("colour",), ("instance",), DEPTH_OUTPUTS),
+        "with `harvest` also poses and detections of fruit",
+        library="mcap_ros2",
+        extra="ros",
+        smallest_px=1,
+        has_clock=True,
     ),
 )
 

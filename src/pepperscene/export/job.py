@@ -29,6 +29,7 @@ class ExportJob:
     splits: Mapping[str, tuple[int, ...]]  # ascending indices of each; none is empty
     selection: Selection = Selection()  # noqa: RUF009 - it is frozen
     on_frame: OnFrame | None = None
+    frame_rate_hz: float | None = None  # of formats with a clock; None for that of the views
 
     @cached_property
     def plan(self) -> Plan:

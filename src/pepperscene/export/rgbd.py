@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.camera import Camera, PoseList, write_poses
 from pepperscene.camera.optics.calibration import CENTRE_OF_FIRST_PIXEL
@@ -96,18 +97,26 @@ def _write_lines(path: Path, lines: Sequence[str]) -> None:
     path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def _camera_info(camera: Camera) -> str:
-    """YAML as of ROS's camera calibration parsers; the centre of the upper left pixel is at (0, 0)."""
+def camera_matrices(camera: Camera) -> tuple[str, dict[str, NDArray[np.float64]]]:
+    """ROS's name of a camera's distortion model, and its matrices by their names in calibration files.
+
+    The centre of the upper left pixel is at (0, 0).
+    """
     distortion = camera.lens.distortion.to_json()
     model = distortion.get("model", "plumb_bob")
     matrix = camera.intrinsics.copy()
     matrix[:2, 2] -= CENTRE_OF_FIRST_PIXEL
-    blocks = {
+    return model, {
         "camera_matrix": matrix,
         "distortion_coefficients": np.array([[distortion[name] for name in MODELS[model]]]),
         "rectification_matrix": np.eye(3),
         "projection_matrix": np.hstack([matrix, np.zeros((3, 1))]),
     }
+
+
+def _camera_info(camera: Camera) -> str:
+    """YAML as of ROS's camera calibration parsers."""
+    model, blocks = camera_matrices(camera)
     lines = [f"image_width: {camera.width}", f"image_height: {camera.height}", "camera_name: camera"]
     for name, block in blocks.items():
         if name == "distortion_coefficients":

@@ -57,6 +57,7 @@ KEEP: Final = "keep"
 DROP: Final = "drop"
 """What is done with organs that the image border may cut."""
 
+_FRAME_RATES: Final = (0.001, 10_000.0)  # as in a recipe
 _DEFAULT_QUALITY: Final = "standard"  # of a build
 
 
@@ -73,6 +74,7 @@ def export_dataset(
     least_visible: float | None = None,
     ripe_from: float | None = None,
     truncated: str = "keep",
+    frame_rate_hz: float | None = None,
 ) -> ExportResult:
     """Write a data set in another format.
 
@@ -92,6 +94,8 @@ def export_dataset(
         ripe_from: least ripeness of ripe fruit. If it is given, a class of all fruit becomes two, such as
             "ripe pepper" and "unripe pepper". None for one class, and for 0.5 if `classes` has `pepper.ripe`
             or `pepper.unripe`. Ripeness needs the output harvest.
+        frame_rate_hz: of the frames of a bag; None for the speed of the recipe's path or arc, or one second
+            for each step of views without a speed.
         truncated: "keep", or "drop": an organ that the image border may cut is not a separate object.
 
     Raises:
@@ -105,6 +109,7 @@ def export_dataset(
     options = {"smallest_px": smallest_px, "classes": classes, "least_visible": least_visible}
     options |= {"ripe_from": ripe_from, "truncated": None if truncated == KEEP else truncated}
     _check_options(options, export_format)
+    _check_frame_rate(frame_rate_hz, export_format)
     dataset = open_dataset(folder)
     read_info(dataset)
     selection = _make_selection(options, export_format, dataset.info)
@@ -114,7 +119,7 @@ def export_dataset(
         if name in export_format.reserved:
             problem = f"{name} is not allowed in the format {format_name}, which uses the name otherwise"
             raise ArgumentError("split", problem)
-    job = ExportJob(dataset, members, selection, on_frame)
+    job = ExportJob(dataset, members, selection, on_frame, frame_rate_hz)
     if export_format.library:
         import_library(export_format.library, export_format.extra)
     required = export_format.required
@@ -161,6 +166,15 @@ def _check_options(options: Mapping[str, Any], export_format: ExportFormat) -> N
     for name in ("least_visible", "ripe_from"):
         if options[name] is not None and not 0 <= options[name] <= 1:
             raise ArgumentError(name, f"{options[name]:g} must be 0 to 1")
+
+
+def _check_frame_rate(frame_rate_hz: float | None, export_format: ExportFormat) -> None:
+    """Raise `ArgumentError` if a frame rate is not valid or does not apply to a format."""
+    low, high = _FRAME_RATES
+    if frame_rate_hz is not None and not export_format.has_clock:
+        raise ArgumentError("frame_rate", f"does not apply: frames of {export_format.name} have no times")
+    if frame_rate_hz is not None and not low <= frame_rate_hz <= high:
+        raise ArgumentError("frame_rate", f"{frame_rate_hz:g} must be {low:g} to {high:g} a second")
 
 
 def _make_selection(

@@ -10,7 +10,7 @@ from pepperscene.scene.culling import (
     view_frustums,
 )
 from pepperscene.scene.far_rows import FarRow, coarsen_plant, draw_far_rows, far_row_meshes
-from pepperscene.scene.floor import leaf_area_index
+from pepperscene.scene.floor import ground_area, leaf_area_index
 from pepperscene.scene.greenhouse import (
     Greenhouse,
     Posture,
@@ -47,6 +47,7 @@ __all__ = [
     "draw_posture",
     "far_row_meshes",
     "greenhouse_mesh",
+    "ground_area",
     "jittered_positions",
     "leaf_area_index",
     "light_reach",

@@ -84,11 +84,14 @@ def leaf_area_index(plants: Sequence[Mesh], row: DoubleRow, greenhouse: Greenhou
         greenhouse: its aisles.
     """
     area = sum(_leaf_area(plant) for plant in plants)
+    return min(area / ground_area(len(plants), row, greenhouse), MAX_LEAF_AREA_INDEX)
+
+
+def ground_area(plants: int, row: DoubleRow, greenhouse: Greenhouse) -> float:
+    """Floor area in square metres of a number of plants in a double row, with their part of the aisle."""
     if row.plants_back == 0:
-        floor = len(plants) * row.spacing_m * greenhouse.aisle_m
-    else:
-        floor = 0.5 * len(plants) * row.spacing_m * (greenhouse.aisle_m + row.gap_m)
-    return min(area / floor, MAX_LEAF_AREA_INDEX)
+        return plants * row.spacing_m * greenhouse.aisle_m
+    return 0.5 * plants * row.spacing_m * (greenhouse.aisle_m + row.gap_m)
 
 
 def _leaf_area(mesh: Mesh) -> float:

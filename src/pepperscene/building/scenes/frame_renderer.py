@@ -172,7 +172,12 @@ class FrameRenderer:
             sky=frame_sky,
             exposure_control=None if control is None else control.control(),
         )
-        return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
+        described = {**frame.metadata, **held.assembled.statistics}
+        target = self.views.target(spec, held.assembled.scene)
+        if target is not None:
+            organ = held.assembled.scene.mesh.instances[target]
+            described["target"] = {"instance": target + 1, "plant": organ.plant, "kind": organ.kind}
+        return Frame(frame.images, described)
 
     def camera(self, spec: FrameSpec, quality: str | Quality = "standard", *, traced: bool = True) -> Camera:
         """The camera of a frame, at its pose, with the exposure of the frame.

@@ -117,6 +117,12 @@ class FrameFiles(_Fields):
     outputs: dict[Text, _OutputEntry]
 
 
+class _ViewTarget(_Fields):
+    instance: InstanceNumber
+    plant: Number
+    kind: Text
+
+
 class FrameFields(_Fields):
     """`frames/000000.json`."""
 
@@ -135,6 +141,7 @@ class FrameFields(_Fields):
     twin: Place | None = None
     rig_camera: Line | None = None
     drawn: dict[Line, bool | Real | Text | list[Any]] = {}
+    target: _ViewTarget | None = None
     outputs: dict[Text, _OutputEntry]
 
 
@@ -154,6 +161,7 @@ class _Mask(_Fields):
 
 class _Point(_Fields):
     camera_m: Three[Real]
+    world_m: Three[Real] | None = None
     px: Two[Real] | None
     visible: bool
 
@@ -170,6 +178,7 @@ class _Peduncle(_Fields):
 
 class _Approach(_Fields):
     camera: Three[Real]
+    world: Three[Real] | None = None
 
 
 class _WholeOrgan(_Fields):

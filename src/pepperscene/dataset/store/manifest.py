@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -126,27 +127,57 @@ FRAME_COLUMNS: Final[Mapping[str, str]] = {
 the build; all other values are those of the frames' JSON. Recipes with variation have further columns; see
 `table_columns`."""
 
-FRUIT_COLUMNS: Final[Mapping[str, str]] = {
-    "index": "int64",
-    "instance": "int32",
-    "plant": "int32",
-    "phytomer": "int32",
-    "kind": "string",
-    **dict.fromkeys(("ripeness", "length_m", "diameter_m", "visible_fraction"), "double"),
-    "visible_pixels": "int64",
-    "amodal_pixels": "int64",
-    "truncated": "bool",
-    "occluders": "int32",
-    **dict.fromkeys((f"foot_{axis}_m" for axis in "xyz"), "double"),
-    **dict.fromkeys((f"along_{axis}" for axis in "xyz"), "double"),
-    **dict.fromkeys((f"{kind}_{edge}" for kind in ("box", "amodal") for edge in _BOX), "int32"),
-    "peduncle": "int32",
-    **dict.fromkeys((f"cut_{axis}_m" for axis in "xyz"), "double"),
-    **dict.fromkeys(("cut_u", "cut_v"), "double"),
-    "cut_visible": "bool",
-    **dict.fromkeys((f"approach_{axis}" for axis in "xyz"), "double"),
-}  # fmt: skip
-"""Columns of `fruit.parquet`: one row per fruit and frame; positions and directions in camera coordinates."""
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a table: its type, in Parquet's terms, and what it holds; pages are written from it."""
+
+    kind: str
+    meaning: str
+
+
+def column_types(table: Mapping[str, TableColumn]) -> dict[str, str]:
+    """The columns of a table and their types, as `rows_table` takes them."""
+    return {name: column.kind for name, column in table.items()}
+
+
+def _columns(names: Iterable[str], kind: str, meaning: str) -> dict[str, TableColumn]:
+    """Neighbouring columns that share a line of the page."""
+    return dict.fromkeys(names, TableColumn(kind, meaning))
+
+
+def axis_columns(name: str, meaning: str) -> dict[str, TableColumn]:
+    """Columns of the three coordinates; `name` has `{}` in the place of the axis."""
+    return _columns((name.format(axis) for axis in "xyz"), "double", meaning)
+
+
+FRUIT_TABLE: Final[Mapping[str, TableColumn]] = {
+    "index": TableColumn("int64", "the frame"),
+    **_columns(("instance", "plant", "phytomer"), "int32", "value of the instance image, plant and phytomer"),
+    "kind": TableColumn("string", "kind of organ"),
+    "ripeness": TableColumn("double", "mean over the skin, 0 unripe to 1 ripe"),
+    **_columns(("length_m", "diameter_m"), "double", "as grown, along the axis and across"),
+    "visible_fraction": TableColumn("double", "`visible_pixels` over `amodal_pixels`"),
+    **_columns(("visible_pixels", "amodal_pixels"), "int64", "of the visible part and of the whole fruit"),
+    "truncated": TableColumn("bool", "whether the whole fruit reaches the image border"),
+    "occluders": TableColumn("int32", "number of instances that occlude it"),
+    **axis_columns("foot_{}_m", "stalk end (camera), the origin of `pose`"),
+    **axis_columns("along_{}", "axis from the stalk end to the blossom end (camera), unit vector"),
+    **_columns((f"box_{edge}" for edge in _BOX), "int32", "`box`"),
+    **_columns((f"amodal_{edge}" for edge in _BOX), "int32", "`amodal_box`"),
+    "peduncle": TableColumn("int32", "`instance` of its stalk"),
+    **axis_columns("cut_{}_m", "cut point (camera)"),
+    **_columns(("cut_u", "cut_v"), "double", "cut point, pixel coordinates"),
+    "cut_visible": TableColumn("bool", "whether it is visible"),
+    **axis_columns("approach_{}", "direction of the approach (camera)"),
+    **axis_columns("foot_world_{}_m", "stalk end (world)"),
+    **axis_columns("blossom_world_{}_m", "blossom end (world)"),
+    **axis_columns("cut_world_{}_m", "cut point (world)"),
+    **axis_columns("approach_world_{}", "direction of the approach (world)"),
+}
+"""Columns of `fruit.parquet`: one row per fruit and frame."""
+
+FRUIT_COLUMNS: Final[Mapping[str, str]] = column_types(FRUIT_TABLE)
 
 
 def frame_row(metadata: Mapping[str, Any]) -> Row:
@@ -226,11 +257,14 @@ def fruit_rows(index: int, harvest: Mapping[str, Any]) -> Iterator[Row]:
         row |= {f"along_{axis}": pose[line][2] for line, axis in enumerate("xyz")}
         for kind, key in (("box", "box"), ("amodal", "amodal_box")):
             row |= {f"{kind}_{edge}": value for edge, value in zip(_BOX, fruit[key] or (), strict=False)}
-        row |= _xyz("approach_{}", (fruit["approach"] or {}).get("camera"))
+        approach = fruit["approach"] or {}
+        row |= _xyz("approach_{}", approach.get("camera")) | _xyz("approach_world_{}", approach.get("world"))
+        for name, key in (("foot", "stalk_end"), ("blossom", "blossom_end")):
+            row |= _xyz(f"{name}_world_{{}}_m", (fruit.get(key) or {}).get("world_m"))
         if peduncle is not None:
             cut = peduncle["cut"]
             row |= {"peduncle": peduncle["instance"], "cut_visible": cut["visible"]}
-            row |= _xyz("cut_{}_m", cut["camera_m"])
+            row |= _xyz("cut_{}_m", cut["camera_m"]) | _xyz("cut_world_{}_m", cut.get("world_m"))
             row |= zip(("cut_u", "cut_v"), cut["px"] or (), strict=False)
         yield stored_row(row, FRUIT_COLUMNS)
 

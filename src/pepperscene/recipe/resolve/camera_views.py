@@ -92,6 +92,15 @@ class CameraViews:
         camera = camera.at_pose(view.pose)
         return camera if view.motion is None else replace(camera, motion=view.motion)
 
+    def target(self, spec: FrameSpec, scene: Scene) -> int | None:
+        """Index among the scene's instances of what a random view looks at; None for a point or other views.
+
+        The view must have been drawn: by `camera` with the same scene.
+        """
+        key = spec.moment, self._setups.at(spec).recipe.views
+        view = self._of_scene[scene].drawn.get(key) if scene in self._of_scene else None
+        return None if view is None or isinstance(view, View) else view.target_instance
+
     def partners(
         self,
         spec: FrameSpec,

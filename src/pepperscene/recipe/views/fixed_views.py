@@ -71,6 +71,18 @@ def fixed_view(table: Views, step: int, frames: int, greenhouse: Greenhouse, whe
     return View(poses[step], Motion(*velocities[:, step]))
 
 
+def view_times(table: Views, frames: int, greenhouse: Greenhouse, where: str = "views") -> Array | None:
+    """Times `(n,)` in seconds of the views of a path, or of an arc with a speed; None for other views.
+
+    Arguments and errors are those of `fixed_view`.
+    """
+    if isinstance(table, PathViews):
+        return _path(table, frames, where).times_s
+    if isinstance(table, ArcViews) and table.speed_m_s is not None:
+        return _arc_times(_views(table, None, frames, greenhouse, where)[0], table.speed_m_s)
+    return None
+
+
 @lru_cache(maxsize=64)
 def _views(
     table: Views, content: _Content, frames: int, greenhouse: Greenhouse, where: str
@@ -107,12 +119,17 @@ def _views(
     # Keep the distance from the row, wherever the row leans at the camera's height.
     poses[:, 1, 3] -= [greenhouse.lean_offset_m(float(height)) for height in poses[:, 2, 3]]
     if isinstance(table, ArcViews) and table.speed_m_s is not None and len(poses) > 1:
-        lengths = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-        times = np.concatenate([[0.0], np.cumsum(lengths)]) / table.speed_m_s
+        times = _arc_times(poses, table.speed_m_s)
         # A camera that does not move along its arc takes sharp photographs.
         if not too_close(times).any():
             return poses, _velocities(trajectory_from_poses(poses, times))
     return poses, None
+
+
+def _arc_times(poses: Array, speed_m_s: float) -> Array:
+    """Times `(n,)` at which a camera with a speed is at poses `(n, 4, 4)`."""
+    lengths = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(lengths)]) / speed_m_s
 
 
 def _path(table: PathViews, frames: int | None, where: str) -> Trajectory:
