@@ -10,6 +10,7 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.building.scenes.plants import (
     MIN_SHARED_PLANTS,
@@ -158,16 +159,7 @@ class SceneBuilder:
 
         if not numbers:
             return built
-        chosen = {
-            int(plant): (
-                self._full_model(int(row.choice[member])),
-                float(row.turns[member]),
-                row.bases[member],
-            )
-            for row in built.far_rows
-            for member, plant in enumerate(row.plants)
-            if plant in numbers
-        }
+        chosen = self.full_plants(built, numbers)
         meshes = {plant: grown.mesh for plant, (grown, _, _) in chosen.items()}
         labelled_as = self.greenhouse.far_rows_as
         rows = far_row_meshes(self.far_models, built.far_rows, labelled_as, built.begin[2], meshes)
@@ -190,6 +182,17 @@ class SceneBuilder:
             starts=(*accumulate(old.sizes[:-1], initial=0), *starts.values()),
         )
         return replace(built, mesh=mesh, skeleton=skeleton)
+
+    def full_plants(
+        self, built: BuiltScene, numbers: Collection[int]
+    ) -> dict[int, tuple[GrownPlant, float, NDArray[np.float64]]]:
+        """Some plants of the far rows in full, their turns in radians and their stem bases, by number."""
+        return {
+            int(plant): (self._full_model(int(row.choice[at])), float(row.turns[at]), row.bases[at])
+            for row in built.far_rows
+            for at, plant in enumerate(row.plants)
+            if plant in numbers
+        }
 
     def plants(self, set_index: int, worker: FunctionWorker | None = None) -> list[PlacedPlant]:
         """The plants of a set, those of the front row first; a `worker` that helps is left open."""
