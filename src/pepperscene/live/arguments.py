@@ -94,32 +94,36 @@ def body_triangles(mesh: Mesh | Trimesh, pose: FloatArray) -> FloatArray:
     return np.asarray((vertices @ pose[:3, :3].T + pose[:3, 3])[faces])
 
 
-def body_capsules(capsules: Any, pose: FloatArray) -> FloatArray:
-    """`(n, 7)` capsules in the world.
+def capsule_meshes(capsules: Any) -> list[Trimesh]:
+    """Capsules `(n, 7)` as meshes.
 
     Raises:
-        ArgumentError: they have another shape, a number is not finite, or a radius is negative.
+        ArgumentError: they have another shape, a number is not finite, or a radius is not above 0.
     """
+    import trimesh
+
     try:
         values = np.atleast_2d(np.array(capsules, dtype=float))
     except (TypeError, ValueError):
         values = np.zeros((0, 0))
-    if values.ndim != 2 or values.shape[1] != 7 or not np.isfinite(values).all() or (values[:, 6] < 0).any():
+    if values.ndim != 2 or values.shape[1] != 7 or not np.isfinite(values).all() or (values[:, 6] <= 0).any():
         problem = "must be a mesh, or capsules (n, 7): both ends of the axis and the radius, in metres"
         raise ArgumentError("body", problem)
-    for first in (0, 3):
-        values[:, first : first + 3] = values[:, first : first + 3] @ pose[:3, :3].T + pose[:3, 3]
-    return values
-
-
-def is_mesh(body: Any) -> bool:
-    """Whether something has vertices and faces."""
-    return hasattr(body, "vertices") and hasattr(body, "faces")
+    meshes = []
+    for start, end, radius in ((row[:3], row[3:6], row[6]) for row in values):
+        length = float(np.linalg.norm(end - start))
+        meshes.append(trimesh.creation.capsule(length, radius, count=(24, 24)))
+        direction = (end - start) / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+        turn = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], direction)
+        turn[:3, 3] = 0.5 * (start + end)
+        # Versions of trimesh differ in where it is.
+        meshes[-1].apply_translation(-meshes[-1].bounds.mean(axis=0)).apply_transform(turn)
+    return meshes
 
 
 def triangles_of(mesh: Any) -> tuple[FloatArray, NDArray[np.integer[Any]]]:
     """`(v, 3)` vertices and `(f, 3)` faces of a `Mesh` or a trimesh; errors as of `object_mesh`."""
-    if not is_mesh(mesh):
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise ArgumentError("mesh", f"must be a Mesh or a trimesh.Trimesh, not {type(mesh).__name__}")
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     if faces.ndim != 2 or faces.shape[1:] != (3,) or not len(faces) or vertices.shape[1:] != (3,):

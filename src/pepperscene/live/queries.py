@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.poses.generators import as_points
-from pepperscene.recipe.views.free_space import FreeSpace, closed_parts, triangle_distances
+from pepperscene.recipe.views.free_space import FreeSpace, closed_parts
 from pepperscene.render.kernel.split_scene import GeometryPart
 
 FloatArray = NDArray[np.float64]
@@ -75,7 +75,7 @@ def nearest_surface(parts: Sequence[ScenePart], points: ArrayLike) -> tuple[Floa
     return distance, instance
 
 
-def touched_by_mesh(parts: Sequence[ScenePart], triangles: FloatArray) -> list[int]:
+def touched_instances(parts: Sequence[ScenePart], triangles: FloatArray) -> list[int]:
     """Instances that the triangles `(n, 3, 3)` of a body cross, or that are inside it or around it."""
     low, high = triangles.reshape(-1, 3).min(axis=0), triangles.reshape(-1, 3).max(axis=0)
     inside = closed_parts(triangles)
@@ -88,57 +88,6 @@ def touched_by_mesh(parts: Sequence[ScenePart], triangles: FloatArray) -> list[i
             if closed_parts(part.triangles(index)).contain(triangles[0, 0]):
                 touched.add(index)
     return sorted(touched)
-
-
-def touched_by_capsules(parts: Sequence[ScenePart], capsules: FloatArray) -> list[int]:
-    """Instances nearer to the axes of capsules `(n, 7)`, both ends and the radius, than the radii."""
-    touched = set()
-    for capsule in capsules:
-        start, end, radius = capsule[:3], capsule[3:6], capsule[6]
-        low, high = np.minimum(start, end) - radius, np.maximum(start, end) + radius
-        for part in parts:
-            for index, triangles in part.near(low, high):
-                if len(triangles) and (segment_distances(start, end, triangles) <= radius).any():
-                    touched.add(index)
-    return sorted(touched)
-
-
-def segment_distances(start: FloatArray, end: FloatArray, triangles: FloatArray) -> FloatArray:
-    """`(n,)` distance from the segment between two points to triangles `(n, 3, 3)`; 0 where it crosses one.
-
-    The nearest points are an end of the segment and a point of the triangle, or points of the segment and of
-    a side.
-    """
-    count = len(triangles)
-    ends = [triangle_distances(np.broadcast_to(point, (count, 3)), triangles) for point in (start, end)]
-    sides = [
-        _between_segments(start, end, triangles[:, corner], triangles[:, corner - 2]) for corner in range(3)
-    ]
-    distance = np.min([*ends, *sides], axis=0)
-    # Where both ends are on different sides of the plane, and the axis passes all sides on the same hand.
-    along, corners = end - start, triangles - start
-    hand = np.stack([np.cross(corners[:, i], corners[:, i - 2]) @ along for i in range(3)], axis=1)
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    before, after = (np.einsum("ni,ni->n", normal, point - triangles[:, 0]) for point in (start, end))
-    crosses = (before * after < 0.0) & ((hand >= 0.0).all(axis=1) | (hand <= 0.0).all(axis=1))
-    return np.where(crosses, 0.0, distance)
-
-
-def _between_segments(start: FloatArray, end: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """`(n,)` distance between a segment and segments from `(n, 3)` to `(n, 3)`.
-
-    Method: C. Ericson, "Real-Time Collision Detection" (2005), section 5.1.9.
-    """
-    u, v, w = end - start, b - a, start - a
-    uu, vv = max(float(u @ u), 1e-30), np.maximum(np.einsum("ni,ni->n", v, v), 1e-30)
-    uv, uw, vw = v @ u, w @ u, np.einsum("ni,ni->n", v, w)
-    denominator = uu * vv - uv**2
-    s = np.where(denominator > 1e-12 * uu * vv, (uv * vw - uw * vv) / np.maximum(denominator, 1e-30), 0.0)
-    s = np.clip(s, 0.0, 1.0)
-    t = np.clip((uv * s + vw) / vv, 0.0, 1.0)
-    s = np.clip((uv * t - uw) / uu, 0.0, 1.0)
-    gap = w + s[:, None] * u - t[:, None] * v
-    return np.asarray(np.linalg.norm(gap, axis=1))
 
 
 def _cross(one: FloatArray, two: FloatArray) -> bool:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
+from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.scenes.scene_builder import NearScene
 from pepperscene.camera import Camera
 from pepperscene.camera.poses.generators import as_points
@@ -20,25 +19,24 @@ from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh
 from pepperscene.live import arguments
+from pepperscene.live.looks import Look, Looks
 from pepperscene.live.objects import SceneFruit, SceneList, SceneOrgan, organ_pose, scene_fruit, scene_organs
-from pepperscene.live.queries import nearest_surface, touched_by_capsules, touched_by_mesh
+from pepperscene.live.queries import nearest_surface, touched_instances
+from pepperscene.live.renderers import StateRenderers
 from pepperscene.live.state import SceneState, open_state
 from pepperscene.materials import Surface, greenhouse_surfaces
 from pepperscene.outputs import check_outputs, needs_surfaces
-from pepperscene.recipe.plan import FrameSpec, frame_seed, view_seed
+from pepperscene.recipe.plan import FrameSpec, frame_seed
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
-from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
-from pepperscene.recipe.views.fixed_views import View
 from pepperscene.recipe.views.near_plants import CoarsePlants, near_views
-from pepperscene.render import Quality, Renderer, resolve_quality
-from pepperscene.scene import FarRow, Scene
+from pepperscene.render import Quality, resolve_quality
+from pepperscene.scene import FarRow
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-    from pepperscene.scene import Sky
 
 FloatArray = NDArray[np.float64]
 VIEW_OUTPUTS: Final = ("class", "instance", "depth_z")
@@ -79,33 +77,6 @@ def open_scene(
     return LiveScene(frames, spec, frames.grow(spec))
 
 
-@dataclass(frozen=True, eq=False)
-class _Held:
-    """A renderer of a state, and what it was made of."""
-
-    state: SceneState
-    assembled: AssembledScene
-    renderer: Renderer
-    wavelengths: tuple[float, float] | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """What one view is made with.
-
-    Attributes:
-        spec: the frame whose camera and light it has.
-        view: of the main camera; None for the frame's own.
-        camera: in place of the frame's, at its pose; None for the frame's.
-        seed: of light and noise; None for the frame's.
-    """
-
-    spec: FrameSpec
-    view: View | None = None
-    camera: Camera | None = None
-    seed: int | None = None
-
-
 class LiveScene:
     """The scene of a frame, kept open; made by `open_scene`.
 
@@ -131,11 +102,9 @@ class LiveScene:
         self._opened = self._state = open_state(near.built, models, meshes)
         self._edited = False
         self.view_count = 0
-        self._last: _Look | None = None
-        self._held: dict[bool, _Held] = {}
-        self._of_frames: dict[bool, _Held] = {}
-        self._optics: dict[tuple[float, float] | None, tuple[dict[str, Surface], Sky | None]] = {}
-        self._poses: dict[bytes, FrameSpec] | None = None
+        self._last: Look | None = None
+        self._renderers = StateRenderers(frames, spec, near)
+        self._looks = Looks(frames, spec, self._renderers)
 
     def __repr__(self) -> str:
         row = self._frames.setups.at(self._spec).recipe.row
@@ -148,7 +117,7 @@ class LiveScene:
     @property
     def camera(self) -> Camera:
         """The camera of the frame, at its pose; an automatic exposure is not metered."""
-        return self._camera(_Look(self._spec, self._own_view()))
+        return self._looks.camera(Look(self._spec))
 
     def render(
         self,
@@ -180,69 +149,27 @@ class LiveScene:
             InputError: an output needs a device that the recipe or the camera does not have.
         """
         names, level = check_outputs(outputs), resolve_quality(quality)
-        if pose is None:
-            return self._render(self._look(None, camera), names, level)
-        poses = arguments.camera_poses(pose, axes)
-        frames = [self._render(self._look(one, camera), names, level) for one in poses]
-        return frames[0] if np.ndim(pose) == 2 else frames
+        if camera is not None and not isinstance(camera, Camera):
+            raise ArgumentError("camera", f"must be a Camera, not {type(camera).__name__}")
+        poses = [None] if pose is None else arguments.camera_poses(pose, axes)
+        frames = []
+        for one in poses:
+            look = self._looks.at(one, camera, self.view_count, edited=self._edited)
+            frames.append(self._render(look, names, level))
+        return frames[0] if pose is None or np.ndim(pose) == 2 else frames
 
-    def _look(self, pose: FloatArray | None, camera: Camera | None) -> _Look:
-        """How a view is made whose camera is at a pose."""
-        if camera is not None:
-            if pose is None:
-                return _Look(self._spec, None, camera.at_pose(self.camera.pose))
-            seed = view_seed(self._frames.recipe.seed, self._spec.index, self.view_count)
-            return _Look(self._spec, None, camera.at_pose(pose), seed)
-        spec = self._spec if pose is None else self._frame_at(pose)
-        if spec is not None:
-            of_own = self._frames.views.depends_on_scene and self._edited
-            return _Look(spec, self._own_view() if of_own else None)
-        seed = view_seed(self._frames.recipe.seed, self._spec.index, self.view_count)
-        recipe = self._frames.resolved.recipe
-        main = np.asarray(pose)
-        if self._spec.camera:
-            # The pose is that of this camera of the rig, which moves with the first.
-            main = main @ np.linalg.inv(recipe.rig[self._spec.camera - 1].extrinsics)
-        return _Look(self._spec, View(main), None, seed)
-
-    def _frame_at(self, pose: FloatArray) -> FrameSpec | None:
-        """The frame of this scene, with the same camera of a rig and of the same twin, at exactly a pose."""
-        views = self._frames.views
-        if self._poses is None:
-            specs = [self._spec] if views.depends_on_scene else self._frames.frames_of_scene(self._spec)
-            alike = [one for one in specs if (one.twin, one.camera) == (self._spec.twin, self._spec.camera)]
-            cameras = {one: views.camera(one, view=self._own_view(one)) for one in alike}
-            # A camera that moves is there only at the middle of its exposure.
-            self._poses = {camera.pose.tobytes(): one for one, camera in cameras.items()}
-            self._poses[cameras[self._spec].pose.tobytes()] = self._spec
-        return self._poses.get(np.ascontiguousarray(pose, float).tobytes())
-
-    def _own_view(self, spec: FrameSpec | None = None) -> View:
-        """The view of a frame, by default that of this scene's."""
-        spec = spec or self._spec
-        if not self._frames.views.depends_on_scene:
-            return self._frames.views.view(spec)
-        held = self._of_frame(spec, traced=False)
-        return self._frames.views.view(spec, held.assembled.scene, held.renderer.visible_points)
-
-    def _camera(self, look: _Look) -> Camera:
-        """The camera of a view."""
-        return look.camera or self._frames.views.camera(
-            look.spec, view=look.view or self._own_view(look.spec)
-        )
-
-    def _render(self, look: _Look, outputs: tuple[str, ...], quality: Quality) -> Frame:
+    def _render(self, look: Look, outputs: tuple[str, ...], quality: Quality) -> Frame:
         """Render one view."""
         held, traced = None, needs_surfaces(outputs)
-        if look.view is None and look.camera is None and not self._edited:
+        if look.is_frame and not self._edited:
             # Light in a scene that is culled for the data set differs by less than can be seen, but differs.
             if traced or self._frames.views.depends_on_scene:
-                held = self._of_frame(look.spec, traced=traced)
+                held = self._renderers.of_frames(traced=traced)
             else:
-                held = self._renderer(self._opened, look, traced=False)
+                held = self._renderers.of(self._opened)
         if held is None:
             self._grow_near_plants(look)
-            held = self._renderer(self._state, look, traced=traced)
+            held = self._renderers.of(self._state, look.camera, traced=traced)
         if look.camera is None:
             frame = self._frames.render_view(
                 look.spec, held.assembled, held.renderer, outputs, quality, view=look.view, seed=look.seed
@@ -255,51 +182,10 @@ class LiveScene:
         self._last = look
         return frame
 
-    def _of_frame(self, spec: FrameSpec, *, traced: bool) -> _Held:
-        """The scene that a build renders the frames of this scene in."""
-        held = self._of_frames.get(True) or self._of_frames.get(traced)
-        if held is None:
-            optics = self._surfaces(None) if traced else None
-            assembled = self._frames.finish(spec, self._near, optics)
-            held = _Held(self._opened, assembled, Renderer(assembled.scene), None)
-            self._of_frames = {traced: held}
-        return held
-
-    def _renderer(self, state: SceneState, look: _Look | None = None, *, traced: bool) -> _Held:
-        """The renderer of a state, with the surfaces that the camera of a view needs if light is traced."""
-        nm = None
-        if traced and look is not None and look.camera is not None:
-            detected = surface_wavelengths(look.camera.sensor)
-            nm = float(detected[0]), float(detected[-1])
-        held = self._held.get(traced)
-        if held is not None and held.state is state and held.wavelengths == nm:
-            return held
-        # Release what is replaced before making the new one.
-        self._held.pop(traced, None)
-        scene = Scene(state.mesh, skeleton=state.skeleton)
-        if traced:
-            surfaces, sky = self._surfaces(nm)
-            surfaces = {**surfaces, **state.materials}
-            scene = replace(scene, surfaces=tuple(surfaces[name] for name in state.surfaces), sky=sky)
-        triangles = len(state.mesh.faces)
-        statistics = {
-            "contacts": asdict(self._near.built.contacts),
-            "geometry": {"triangles": triangles, "of": triangles},
-        }
-        renderer = Renderer(scene, state.geometry)
-        held = self._held[traced] = _Held(state, AssembledScene(scene, statistics), renderer, nm)
-        return held
-
-    def _surfaces(self, nm: tuple[float, float] | None) -> tuple[dict[str, Surface], Sky | None]:
-        """The surfaces by name and the sky, for the recipe's cameras or another range of wavelengths."""
-        if nm not in self._optics:
-            self._optics[nm] = self._frames.optics(self._spec, nm)
-        return self._optics[nm]
-
-    def _grow_near_plants(self, look: _Look) -> None:
+    def _grow_near_plants(self, look: Look) -> None:
         """Grow the plants of far rows in full that a view shows from near."""
         far, builder = self._near.built.far_rows, self._frames.builder(self._spec)
-        if not far or (look.view is None and look.camera is None):
+        if not far or look.is_frame:
             return
         if look.camera is None:
             seen = self._frames.views.near_views([look.spec], view=look.view)
@@ -319,10 +205,10 @@ class LiveScene:
     @property
     def fruit(self) -> SceneList[SceneFruit]:
         """The fruit of the scene, with what a harvest robot needs to know of each."""
-        held = self._renderer(self._state, traced=False)
+        held = self._renderers.of(self._state)
         visible = None
         if self._last is not None:
-            frame = held.renderer.render(self._camera(self._last), ("harvest",))
+            frame = held.renderer.render(self._looks.camera(self._last), ("harvest",))
             visible = {entry["instance"]: entry["visible_fraction"] for entry in frame["harvest"]["fruit"]}
         return scene_fruit(held.renderer.fruit_truths(), visible)
 
@@ -346,7 +232,7 @@ class LiveScene:
         Raises:
             ArgumentError: the shapes differ, a number is not finite, or a direction has no length.
         """
-        held = self._renderer(self._state, traced=False)
+        held = self._renderers.of(self._state)
         distance, face = held.renderer.cast_rays(origins, directions)
         instance = self._state.mesh.face_instance[face].astype(np.int64) + 1
         return distance, np.where(face >= 0, instance, 0)
@@ -375,7 +261,8 @@ class LiveScene:
         it is inside of.
 
         Args:
-            body: a mesh, or capsules `(n, 7)`: both ends of the axis and the radius, metres.
+            body: a mesh, or capsules `(n, 7)`: both ends of the axis and the radius, metres. They have
+                triangles that are inside by up to 1 % of the radius.
             pose: `(4, 4)` of the body in the world; None if it is given in world coordinates.
             ignore: numbers of instances that do not count.
 
@@ -383,11 +270,10 @@ class LiveScene:
             ArgumentError: the body or the pose is not valid.
         """
         place = np.eye(4) if pose is None else arguments.rigid_motion(pose)
-        if arguments.is_mesh(body):
-            found = touched_by_mesh(self._state.parts, arguments.body_triangles(body, place))
-        else:
-            found = touched_by_capsules(self._state.parts, arguments.body_capsules(body, place))
-        return tuple(index + 1 for index in found if index + 1 not in ignore)
+        bodies = [body] if hasattr(body, "faces") else arguments.capsule_meshes(body)
+        triangles = [arguments.body_triangles(one, place) for one in bodies]
+        found = {index + 1 for one in triangles for index in touched_instances(self._state.parts, one)}
+        return tuple(sorted(found.difference(ignore)))
 
     # --- edits ---
 
@@ -468,8 +354,7 @@ class LiveScene:
     def copy(self) -> LiveScene:
         """Another scene in the same state, edited on its own; the two share what no edit touched."""
         other = copy.copy(self)
-        other._held, other._of_frames = dict(self._held), dict(self._of_frames)
-        other._optics = dict(self._optics)
+        other._renderers = self._renderers.copy()
         return other
 
     def _edit(self, state: SceneState) -> None:

@@ -158,7 +158,7 @@ class FrameRenderer:
             InputError: an output needs a stereo partner or a depth camera, and the recipe has none.
         """
         held = self._scene_of(spec, self.setups.at(spec), needs_surfaces(outputs))
-        return self._render(spec, held, outputs, quality)
+        return self.render_view(spec, held.assembled, held.renderer, outputs, quality, light=held.light)
 
     def render_view(
         self,
@@ -170,6 +170,7 @@ class FrameRenderer:
         *,
         view: View | None = None,
         seed: int | None = None,
+        light: tuple[int, str] = (-1, ""),
     ) -> Frame:
         """Render a frame in a scene of the caller's, from another view or with another seed if given.
 
@@ -181,28 +182,17 @@ class FrameRenderer:
             quality: as of `render`.
             view: of the main camera; the frame has no flow then.
             seed: of light transport and noise.
+            light: set and `FrameSetup.light` that the scene's own sky is for.
         """
-        held = _HeldScene(("", -1, 0, True), (-1, ""), assembled, renderer)
-        return self._render(spec, held, outputs, quality, view, seed)
-
-    def _render(
-        self,
-        spec: FrameSpec,
-        held: _HeldScene,
-        outputs: Sequence[str],
-        quality: str | Quality,
-        view: View | None = None,
-        seed: int | None = None,
-    ) -> Frame:
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
-        scene, visible = held.assembled.scene, held.renderer.visible_points
+        scene, visible = assembled.scene, renderer.visible_points
         partners = self.views.partners(spec, outputs, scene, visible, view)
         control = setup.recipe.exposure_control if traced else None
         frame_sky: Sky | Literal["scene"] | None = (
-            self.sky(spec) if traced and held.light != (spec.set, setup.light) else "scene"
+            self.sky(spec) if traced and light != (spec.set, setup.light) else "scene"
         )
         self._on_stage(f"rendering frame {spec.index}")
-        frame = held.renderer.render(
+        frame = renderer.render(
             self.views.camera(spec, scene, visible, view),
             outputs,
             quality,
@@ -211,7 +201,7 @@ class FrameRenderer:
             sky=frame_sky,
             exposure_control=None if control is None else control.control(),
         )
-        return Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
+        return Frame(frame.images, {**frame.metadata, **assembled.statistics})
 
     def camera(self, spec: FrameSpec, quality: str | Quality = "standard", *, traced: bool = True) -> Camera:
         """The camera of a frame, at its pose, with the exposure of the frame.
