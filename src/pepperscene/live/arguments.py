@@ -30,14 +30,18 @@ _TO_OPTICAL: Final = {
 """Our camera axes in columns, in the other axes."""
 
 
+def check_axes(axes: str) -> None:
+    """Raise `ArgumentError` unless the name of camera axes is known."""
+    if axes not in get_args(CameraAxes):
+        raise ArgumentError("axes", f"must be one of {', '.join(get_args(CameraAxes))}", value=axes)
+
+
 def camera_poses(poses: ArrayLike, axes: str) -> FloatArray:
     """`(n, 4, 4)` camera poses in our axes.
 
     Raises:
-        ArgumentError: they have another shape, are no rigid motions, or the axes are unknown.
+        ArgumentError: they have another shape, or are no rigid motions.
     """
-    if axes not in get_args(CameraAxes):
-        raise ArgumentError("axes", f"must be one of {', '.join(get_args(CameraAxes))}", value=axes)
     checked = rigid_motions(poses, "pose")
     if axes != "optical":
         checked = checked.copy()

@@ -149,6 +149,7 @@ class LiveScene:
             InputError: an output needs a device that the recipe or the camera does not have.
         """
         names, level = check_outputs(outputs), resolve_quality(quality)
+        arguments.check_axes(axes)
         if camera is not None and not isinstance(camera, Camera):
             raise ArgumentError("camera", f"must be a Camera, not {type(camera).__name__}")
         poses = [None] if pose is None else arguments.camera_poses(pose, axes)
