@@ -73,6 +73,9 @@ def open_scene(
         resolved.check_code()
     if on_stage is not None:
         on_stage("growing plants")
+    # The first edit would wait for it.
+    import trimesh  # noqa: F401
+
     spec = resolved.recipe.plan.frame(index)
     return LiveScene(frames, spec, frames.grow(spec))
 

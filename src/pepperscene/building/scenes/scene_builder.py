@@ -20,6 +20,7 @@ from pepperscene.building.scenes.plants import (
     make_plants,
     plant_processes,
 )
+from pepperscene.building.scenes.row_cache import RowCache
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator, rotate_row
 from pepperscene.recipe.recipe import Recipe
@@ -86,11 +87,15 @@ class SceneBuilder:
         self.cultivar = cultivar
         self._processes = plant_processes(processes)
         self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
+        self._cache = RowCache(cultivar, recipe.seed, self.row, recipe.greenhouse, recipe.twine)
         self._set: tuple[int, list[PlacedPlant]] | None = None
         self._full_models: dict[int, GrownPlant] = {}
 
     def scene(self, set_index: int, rotation: int) -> BuiltScene:
-        """Build the scene of a set at a rotation, with coarse plants in all far rows."""
+        """The scene of a set at a rotation, with coarse plants in all far rows; grown once (`RowCache`)."""
+        return self._cache.get(lambda: self._build(set_index, rotation), "scene", set_index, rotation)
+
+    def _build(self, set_index: int, rotation: int) -> BuiltScene:
         from pepperscene.geometry import concatenate_meshes, resolve_contacts
         from pepperscene.scene import (
             Skeleton,
@@ -200,7 +205,14 @@ class SceneBuilder:
             # Release the old plants before making new ones.
             self._set = None
             count = self.row.plants_front + self.row.plants_back
-            self._set = set_index, make_plants(self._factory, set_index, count, self._processes, worker)
+            self._set = (
+                set_index,
+                self._cache.get(
+                    lambda: make_plants(self._factory, set_index, count, self._processes, worker),
+                    "plants",
+                    set_index,
+                ),
+            )
         return self._set[1]
 
     @property
@@ -215,10 +227,11 @@ class SceneBuilder:
         from pepperscene.scene import coarsen_plant
         from pepperscene.scene.far_rows import FAR_ROW_PLANTS
 
-        return [
-            coarsen_plant(mesh_plant(self._factory.far_plant(number, FAR_DETAIL), FAR_DETAIL))
-            for number in range(FAR_ROW_PLANTS)
-        ]
+        def make() -> list[Mesh]:
+            plants = [self._factory.far_plant(number, FAR_DETAIL) for number in range(FAR_ROW_PLANTS)]
+            return [coarsen_plant(mesh_plant(plant, FAR_DETAIL)) for plant in plants]
+
+        return self._cache.get(make, "far models")
 
     def estimate_triangles(self) -> int:
         """Triangles of a scene, from the first plant of the first set: it is drawn, but not built."""
@@ -238,7 +251,9 @@ class SceneBuilder:
     def _full_model(self, number: int) -> GrownPlant:
         """One of these plants in full, grown when it is first needed."""
         if number not in self._full_models:
-            self._full_models[number] = self._factory.full_far_plant(number)
+            self._full_models[number] = self._cache.get(
+                lambda: self._factory.full_far_plant(number), "full plant", number
+            )
         return self._full_models[number]
 
 
