@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from pepperscene.building.scenes.row_cache import CACHE
 from pepperscene.cultivar import Cultivar, load_cultivar
 
 pytest_plugins = ["dataset_fixtures"]
@@ -45,6 +46,8 @@ settings.load_profile("ci")
 def pytest_configure(config: pytest.Config) -> None:
     # With this variable, pytest shows the whole difference of unequal images, which takes hours.
     os.environ.pop("CI", None)
+    # Rows are grown where tests do not ask for others.
+    os.environ[CACHE] = "none"
     if not hasattr(config, "workerinput"):
         os.environ[ROWS] = tempfile.mkdtemp(prefix="pepperscene-rows-")
 

@@ -417,6 +417,18 @@ def visibility() -> Image.Image:
     return image
 
 
+def live() -> Image.Image:
+    """A view of fruit in natural class colours, before and after the most visible one is picked."""
+    size = {"camera.width": 240, "camera.height": 320}
+    scene = ps.open_scene("barth2018", 125, **size)
+    image = white()
+    for place in (0, 121):
+        picture = ps.class_colour(scene.render()["class"])
+        image.paste(fill(picture, (119, HEIGHT)), (place, 0))
+        scene.pick(max(scene.fruit, key=lambda one: one.visible_fraction).instance)
+    return image
+
+
 def vary() -> Image.Image:
     """Six frames of `randomised`."""
     image = white()
@@ -1170,7 +1182,7 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, bands_notebook, build, camera,
-    visibility, tasks, vary, motion, depth, bands, chemistry, read, learn, export, own_crop, cultivar,
+    visibility, live, tasks, vary, motion, depth, bands, chemistry, read, learn, export, own_crop, cultivar,
     outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""

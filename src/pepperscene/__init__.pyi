@@ -70,6 +70,10 @@ from .learning import write_evaluation as write_evaluation
 from .learning.models import TrainedModel as TrainedModel
 from .learning.models import load_model as load_model
 from .learning.training import train as train
+from .live import LiveScene as LiveScene
+from .live import SceneFruit as SceneFruit
+from .live import SceneOrgan as SceneOrgan
+from .live import open_scene as open_scene
 from .materials import Surface as Surface
 from .materials import greenhouse_surfaces as greenhouse_surfaces
 from .materials import lambertian_surface as lambertian_surface

@@ -225,7 +225,10 @@ class Mesh:
         gone = np.zeros(len(self.instances), dtype=bool)
         gone[instances] = True
         # Taking rows by index is five times as fast as by a mask.
-        kept = np.flatnonzero(~gone[self.face_instance])
+        return self.select_faces(np.flatnonzero(~gone[self.face_instance]))
+
+    def select_faces(self, kept: IndexArray) -> Mesh:
+        """Return the mesh with some of its triangles, by index; all instances keep their numbers."""
         faces = self.faces.take(kept, axis=0)
         is_used = np.zeros(len(self.vertices), dtype=bool)
         is_used[faces] = True

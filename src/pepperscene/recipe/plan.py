@@ -34,6 +34,7 @@ class Stream(IntEnum):
     FAR = 6
     VARIATION = 7
     VIEW = 8
+    LIVE = 9
 
 
 def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Generator:
@@ -54,6 +55,12 @@ def random_generator(seed: int, stream: Stream, *address: int) -> np.random.Gene
 def frame_seed(seed: int, index: int) -> int:
     """The 32-bit seed of a frame's sampler and sensor noise."""
     sequence = np.random.SeedSequence(seed, spawn_key=(int(Stream.FRAME), index))
+    return int(sequence.generate_state(1)[0])
+
+
+def view_seed(seed: int, index: int, number: int) -> int:
+    """The 32-bit seed of a view of a frame's scene that is none of the data set's, by its number."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(int(Stream.LIVE), index, number))
     return int(sequence.generate_state(1)[0])
 
 

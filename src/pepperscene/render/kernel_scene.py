@@ -19,6 +19,7 @@ from pepperscene.render.kernel.camera import (
     spectral_response,
 )
 from pepperscene.render.kernel.scene import LightScene, check_surfaces, light_scene, sky_tables, truth_scene
+from pepperscene.render.kernel.split_scene import SplitScene
 from pepperscene.render.quality import Quality, check_depth_camera_quality
 from pepperscene.render.reference.path_tracer import (
     PathScene,
@@ -48,10 +49,12 @@ class KernelScene:
 
     Args:
         scene: everything that can be seen.
+        geometry: its triangles in parts, if they are in the kernel already.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, geometry: SplitScene | None = None) -> None:
         self.scene = scene
+        self._parts = geometry
         # The last kernel scene of each kind, by its arguments.
         self._light: dict[tuple[float, float], LightScene] = {}
         self._imagers: dict[tuple[float, float], LightScene] = {}
@@ -205,6 +208,8 @@ class KernelScene:
 
     @functools.cached_property
     def _geometry(self) -> Any:
+        if self._parts is not None and self._parts.coordinates == self.coordinates:
+            return self._parts
         return truth_scene(self.scene)
 
     def truth_scene(self) -> Any:

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera import (
     Camera,
@@ -30,12 +30,15 @@ from pepperscene.outputs import (
     check_outputs,
 )
 from pepperscene.render.aov.label_images import SceneLabels
+from pepperscene.render.kernel.split_scene import SplitScene
 from pepperscene.render.kernel_scene import KernelScene
 from pepperscene.render.metering import metered_light
 from pepperscene.render.photographs import photographs
 from pepperscene.render.quality import Quality, check_depth_camera_quality, resolve_quality
+from pepperscene.render.ray_casting import cast_rays
 from pepperscene.render.variant import mitsuba_modules, variant_name
 from pepperscene.scene import Scene, Sky
+from pepperscene.truth.harvest import FruitTruth
 from pepperscene.version import __version__
 
 _ALONE: Final = Partners()
@@ -97,11 +100,12 @@ class Renderer:
 
     Args:
         scene: everything that can be seen.
+        geometry: its triangles in parts, if they are in the kernel already.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, geometry: SplitScene | None = None) -> None:
         self.scene = scene
-        self._kernel = KernelScene(scene)
+        self._kernel = KernelScene(scene, geometry)
         self._labels = SceneLabels(self._kernel)
 
     def render(
@@ -213,6 +217,16 @@ class Renderer:
             )
         organ = self._labels.organs.of([alone])[alone].scene
         return visible_points(organ, self._kernel.coordinates, camera, points, normals, has_borders=False)
+
+    def cast_rays(
+        self, origins: ArrayLike, directions: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """The distance of the first surface that each ray meets, and its triangle; see `cast_rays`."""
+        return cast_rays(self._kernel.truth_scene(), self._kernel.coordinates, origins, directions)
+
+    def fruit_truths(self) -> list[FruitTruth]:
+        """The truth of all fruit of the scene that have triangles, in world metres; needs its skeleton."""
+        return self._labels.harvest.truths()
 
     def meter(
         self,

@@ -184,6 +184,24 @@ def far_row_meshes(
     return meshes
 
 
+def coarse_plant_faces(
+    models: Sequence[Mesh], rows: Sequence[FarRow], full: Mapping[int, Mesh]
+) -> dict[int, range]:
+    """The triangles of each coarse plant among those of all meshes of `far_row_meshes`, one after another."""
+    faces: dict[int, range] = {}
+    first = 0
+    for row in rows:
+        coarse = _some_plants(row, ~np.isin(row.plants, list(full)))
+        if coarse is not None:
+            # As `_row_mesh` places them.
+            for at in np.argsort(coarse.choice, kind="stable"):
+                count = len(models[coarse.choice[at]].faces)
+                faces[int(coarse.plants[at])] = range(first, first + count)
+                first += count
+        first += sum(len(full[plant].faces) for plant in row.plants.tolist() if plant in full)
+    return faces
+
+
 def far_detail(sizes: dict[FarDetail, list[int]], plants: NDArray[np.intp], others: int) -> FarDetail:
     """The finest detail with which a scene has at most `MAX_INSTANCES`; `ROWS` always fits.
 

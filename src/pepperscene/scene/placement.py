@@ -37,6 +37,8 @@ class Skeleton:
             from instance 0 on.
         fingerprints: `(i,)` of the triangles of the scene's instances up to the last plant, as the poses
             describe them (see `instance_fingerprints`); None before a scene was assembled.
+        edits: further motions, in their order: an instance, which moves with all that grows on it, and the
+            `(4, 4)` motion in world metres.
     """
 
     plants: tuple[Plant, ...]
@@ -46,6 +48,7 @@ class Skeleton:
     motions: tuple[JointRotation, ...] = ()
     starts: tuple[int, ...] = ()
     fingerprints: NDArray[np.uint64] | None = None
+    edits: tuple[tuple[int, NDArray[np.float64]], ...] = ()
 
     def __post_init__(self) -> None:
         counts = {len(self.plants), len(self.sizes), len(self.bases), len(self.turns)}
@@ -72,12 +75,25 @@ class Skeleton:
         lineage = {instance}
         while (index := organs[index].parent) >= 0:
             lineage.add(first + index)
-        for motion in self.motions:
-            if motion.instance in lineage:
-                curve = (curve - motion.pivot) @ motion.rotation.T + motion.pivot
-                up = motion.rotation @ up
+        for motion in sorted(order for member in lineage for order in self._motions_of.get(member, ())):
+            rotation, pivot = self.motions[motion].rotation, self.motions[motion].pivot
+            curve = (curve - pivot) @ rotation.T + pivot
+            up = rotation @ up
+        for moved, edit in self.edits:
+            if moved in lineage:
+                curve, up = curve @ edit[:3, :3].T + edit[:3, 3], edit[:3, :3] @ up
         parent = first + organ.parent if organ.parent >= 0 else organ.parent
         return replace(organ, curve=curve, up=up, parent=parent)
+
+    def branch(self, instance: int) -> tuple[int, ...]:
+        """An organ and all that grows on it, ascending; raises `ValueError` as `organ` does."""
+        number = self.plant_index(instance)
+        first, members = self._first_instances[number], {instance}
+        # Parents come before their children.
+        for index, organ in enumerate(self.plants[number].organs[instance - first + 1 :], instance + 1):
+            if organ.parent + first in members:
+                members.add(index)
+        return tuple(sorted(members))
 
     def plant_index(self, instance: int) -> int:
         """The position in `plants` of an organ's plant; raises `ValueError` as `organ` does."""
@@ -139,6 +155,30 @@ class Skeleton:
             problem = f"has moved or changed triangles of {len(moved)} instances, first {index}, a {kind}"
             remedy = "assemble it with the skeleton of that mesh, or without harvest and visibility"
             raise ArgumentError("scene", f"{problem}, whose skeleton did not move with them; {remedy}")
+
+    @cached_property
+    def grown(self) -> Skeleton:
+        """The skeleton without edits."""
+        return replace(self, edits=()) if self.edits else self
+
+    def edit(self, instance: int) -> NDArray[np.float64]:
+        """`(4, 4)` motion of all edits that moved an organ; raises `ValueError` as `organ` does."""
+        number, motion = self.plant_index(instance), np.eye(4)
+        first, lineage = self._first_instances[number], {instance}
+        while (parent := self.plants[number].organs[min(lineage) - first].parent) >= 0:
+            lineage.add(first + parent)
+        for moved, edit in self.edits:
+            if moved in lineage:
+                motion = edit @ motion
+        return motion
+
+    @cached_property
+    def _motions_of(self) -> dict[int, list[int]]:
+        """Positions among the motions, by instance."""
+        positions: dict[int, list[int]] = {}
+        for position, motion in enumerate(self.motions):
+            positions.setdefault(motion.instance, []).append(position)
+        return positions
 
     @cached_property
     def _first_instances(self) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ The blossom end of a fruit: the point of its skin opposite the stalk.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -46,6 +46,12 @@ class FruitStalk:
     def attachment(self) -> FloatArray:
         """`(3,)` where the centreline emerges from the stalk's parent."""
         return self.curve[0]
+
+    def moved(self, motion: FloatArray) -> FruitStalk:
+        """The stalk after a motion `(4, 4)`."""
+        rotation, shift = motion[:3, :3], motion[:3, 3]
+        curve, cut = self.curve @ rotation.T + shift, rotation @ self.cut + shift
+        return replace(self, curve=curve, cut=cut, tangent=rotation @ self.tangent)
 
 
 def fruit_stalk(

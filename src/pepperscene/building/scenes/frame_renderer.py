@@ -15,9 +15,10 @@ from pepperscene.building.scenes.optics import (
     SurfacePreparation,
     largest_light_reach,
     lit_cameras,
+    make_surfaces,
     prepare_for_mitsuba,
 )
-from pepperscene.building.scenes.scene_builder import NearPlants, SceneBuilder
+from pepperscene.building.scenes.scene_builder import NearPlants, NearScene, SceneBuilder
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import OUTPUTS, needs_surfaces
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from pepperscene.camera.image.auto_exposure import ChosenExposure, ExposureControl
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
+    from pepperscene.recipe.views.fixed_views import View
     from pepperscene.render import Quality
     from pepperscene.scene import Scene, Sky
 
@@ -155,27 +157,54 @@ class FrameRenderer:
         Raises:
             InputError: an output needs a stereo partner or a depth camera, and the recipe has none.
         """
+        held = self._scene_of(spec, self.setups.at(spec), needs_surfaces(outputs))
+        return self.render_view(spec, held.assembled, held.renderer, outputs, quality, light=held.light)
+
+    def render_view(
+        self,
+        spec: FrameSpec,
+        assembled: AssembledScene,
+        renderer: SceneRenderer,
+        outputs: Sequence[str],
+        quality: str | Quality = "standard",
+        *,
+        view: View | None = None,
+        seed: int | None = None,
+        light: tuple[int, str] = (-1, ""),
+    ) -> Frame:
+        """Render a frame in a scene of the caller's, from another view or with another seed if given.
+
+        Args:
+            spec: the frame.
+            assembled: a scene of the frame's plants, perhaps edited.
+            renderer: of that scene.
+            outputs: names from `OUTPUTS`.
+            quality: as of `render`.
+            view: of the main camera; the frame has no flow then.
+            seed: of light transport and noise.
+            light: set and `FrameSetup.light` that the scene's own sky is for.
+        """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
-        held = self._scene_of(spec, setup, needs_surfaces(outputs))
-        partners = self.views.partners(spec, outputs, held.assembled.scene, held.renderer.visible_points)
+        scene, visible = assembled.scene, renderer.visible_points
+        partners = self.views.partners(spec, outputs, scene, visible, view)
         control = setup.recipe.exposure_control if traced else None
         frame_sky: Sky | Literal["scene"] | None = (
-            self.sky(spec) if traced and held.light != (spec.set, setup.light) else "scene"
+            self.sky(spec) if traced and light != (spec.set, setup.light) else "scene"
         )
         self._on_stage(f"rendering frame {spec.index}")
-        frame = held.renderer.render(
-            self.camera(spec, traced=False),
+        frame = renderer.render(
+            self.views.camera(spec, scene, visible, view),
             outputs,
             quality,
-            frame_seed(self.recipe.seed, spec.index),
+            frame_seed(self.recipe.seed, spec.index) if seed is None else seed,
             partners=partners,
             sky=frame_sky,
             exposure_control=None if control is None else control.control(),
         )
-        described = {**frame.metadata, **held.assembled.statistics}
-        target = self.views.target(spec, held.assembled.scene)
+        described = {**frame.metadata, **assembled.statistics}
+        target = self.views.target(spec, assembled.scene) if view is None else None
         if target is not None:
-            organ = held.assembled.scene.mesh.instances[target]
+            organ = assembled.scene.mesh.instances[target]
             described["target"] = {"instance": target + 1, "plant": organ.plant, "kind": organ.kind}
         return Frame(frame.images, described)
 
@@ -215,10 +244,8 @@ class FrameRenderer:
 
         `prepare` is called with its surfaces, if they are made beside the row.
         """
-        from pepperscene.scene import assemble_scene
-
         setup = self.setups.at(spec)
-        builder, others = self._builder(setup), self._frames_of_scene(spec, setup)
+        builder, others = self.builder(spec), self.frames_of_scene(spec)
         # Surfaces and sky do not depend on the row, whose contacts keep one core busy.
         beside = FunctionWorker() if traced and builder.shares_work else None
         optics = functools.partial(self._optics, spec, setup, others)
@@ -228,19 +255,50 @@ class FrameRenderer:
                 # Plants are made by two processes as well, so they come first.
                 builder.plants(spec.set, beside)
                 pending = pool.submit(optics, prepare, beside)
-            coarse_only = builder.scene(spec.set, spec.rotation)
-            key = (setup.plants, spec.set, spec.rotation)
-            near = self._near_plants.grow(key, coarse_only, builder, others)
-            built = near.built
-            mesh = self._cull(built.mesh, others) if self.culled else built.mesh
+            near = self.grow(spec)
+            mesh = self._culled_mesh(near, others)
         surfaces, sky = None, None
         if traced:
             surfaces, sky = optics() if pending is None else pending.result()
+        return self._assembled(near, mesh, surfaces, sky)
+
+    def grow(self, spec: FrameSpec) -> NearScene:
+        """The objects of a frame's scene, complete."""
+        setup = self.setups.at(spec)
+        builder, others = self.builder(spec), self.frames_of_scene(spec)
+        coarse_only = builder.scene(spec.set, spec.rotation)
+        return self._near_plants.grow((setup.plants, spec.set, spec.rotation), coarse_only, builder, others)
+
+    def optics(
+        self, spec: FrameSpec, nm: tuple[float, float] | None = None
+    ) -> tuple[dict[str, Surface], Sky | None]:
+        """The surfaces of a frame's scene by name, and its sky; `nm` replaces the range of its cameras."""
+        setup = self.setups.at(spec)
+        if nm is None:
+            return self._optics(spec, setup, self.frames_of_scene(spec))
+        return make_surfaces(setup.cultivar, *nm), self.sky(spec)
+
+    def finish(
+        self, spec: FrameSpec, near: NearScene, optics: tuple[Mapping[str, Surface], Sky | None] | None
+    ) -> AssembledScene:
+        """The scene that `assemble` makes of the objects of `grow`, and of `optics` unless for labels."""
+        return self._assembled(
+            near, self._culled_mesh(near, self.frames_of_scene(spec)), *(optics or (None, None))
+        )
+
+    def _culled_mesh(self, near: NearScene, specs: Sequence[FrameSpec]) -> Mesh:
+        return self._cull(near.built.mesh, specs) if self.culled else near.built.mesh
+
+    def _assembled(
+        self, near: NearScene, mesh: Mesh, surfaces: Mapping[str, Surface] | None, sky: Sky | None
+    ) -> AssembledScene:
+        from pepperscene.scene import assemble_scene
+
         statistics = {
-            "contacts": asdict(built.contacts),
-            "geometry": {"triangles": len(mesh.faces), "of": len(built.mesh.faces)},
+            "contacts": asdict(near.built.contacts),
+            "geometry": {"triangles": len(mesh.faces), "of": len(near.built.mesh.faces)},
         }
-        scene = assemble_scene(mesh, surfaces, sky, built.skeleton)
+        scene = assemble_scene(mesh, surfaces, sky, near.built.skeleton)
         if near.coarse is not None and self.views.depends_on_scene:
             self.views.continue_in(scene, near.views, near.coarse)
         return AssembledScene(scene, statistics)
@@ -256,19 +314,19 @@ class FrameRenderer:
         # The crop shades the floor.
         key = (spec.set, setup.light, setup.plants)
         if key not in self._skies:
-            self._skies = {key: self._make_sky(spec.set, setup)}
+            self._skies = {key: self._make_sky(spec, setup)}
         return self._skies[key]
 
-    def _make_sky(self, set_index: int, setup: FrameSetup) -> Sky | None:
+    def _make_sky(self, spec: FrameSpec, setup: FrameSetup) -> Sky | None:
         from pepperscene.scene import leaf_area_index, partly_cloudy_sky
 
         light = setup.recipe.daylight
         if light is None or light.illuminance_lx == 0:
             return None
-        builder = self._builder(setup)
-        plants = [plant.mesh for plant in builder.plants(set_index)]
+        builder = self.builder(spec)
+        plants = [plant.mesh for plant in builder.plants(spec.set)]
         return partly_cloudy_sky(
-            random_generator(self.recipe.seed, Stream.SKY, set_index),
+            random_generator(self.recipe.seed, Stream.SKY, spec.set),
             illuminance_lx=light.illuminance_lx,
             sun_azimuth_rad=light.sun_azimuth_rad,
             sun_elevation_rad=light.sun_elevation_rad,
@@ -278,8 +336,9 @@ class FrameRenderer:
             leaf_area_index=leaf_area_index(plants, builder.row, builder.greenhouse),
         )
 
-    def _builder(self, setup: FrameSetup) -> SceneBuilder:
+    def builder(self, spec: FrameSpec) -> SceneBuilder:
         """The builder of scenes with a frame's plants and greenhouse."""
+        setup = self.setups.at(spec)
         if self._builders is None or self._builders[0] != setup.plants:
             self._builders = setup.plants, SceneBuilder(setup.recipe, setup.cultivar)
         return self._builders[1]
@@ -297,8 +356,9 @@ class FrameRenderer:
             self._held = _HeldScene(key, (spec.set, setup.light), assembled, renderer)
         return self._held
 
-    def _frames_of_scene(self, spec: FrameSpec, setup: FrameSetup) -> list[FrameSpec]:
+    def frames_of_scene(self, spec: FrameSpec) -> list[FrameSpec]:
         """All frames of the scene with the same plants in the same places, in the order of their indices."""
+        setup = self.setups.at(spec)
         specs = [self.recipe.plan.frame(index) for index in self.recipe.plan.scene_indices(spec)]
         return [other for other in specs if self.setups.at(other).plants == setup.plants]
 

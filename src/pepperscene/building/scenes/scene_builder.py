@@ -10,6 +10,7 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.building.scenes.plants import (
     MIN_SHARED_PLANTS,
@@ -19,6 +20,7 @@ from pepperscene.building.scenes.plants import (
     make_plants,
     plant_processes,
 )
+from pepperscene.building.scenes.row_cache import RowCache
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator, rotate_row
 from pepperscene.recipe.recipe import Recipe
@@ -85,11 +87,16 @@ class SceneBuilder:
         self.cultivar = cultivar
         self._processes = plant_processes(processes)
         self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
+        inputs = recipe.seed, self.row, recipe.greenhouse, recipe.twine
+        self._cache = RowCache(cultivar, inputs, _row_classes())
         self._set: tuple[int, list[PlacedPlant]] | None = None
         self._full_models: dict[int, GrownPlant] = {}
 
     def scene(self, set_index: int, rotation: int) -> BuiltScene:
-        """Build the scene of a set at a rotation, with coarse plants in all far rows."""
+        """The scene of a set at a rotation, with coarse plants in all far rows; grown once (`RowCache`)."""
+        return self._cache.get(lambda: self._build(set_index, rotation), "scene", set_index, rotation)
+
+    def _build(self, set_index: int, rotation: int) -> BuiltScene:
         from pepperscene.geometry import concatenate_meshes, resolve_contacts
         from pepperscene.scene import (
             Skeleton,
@@ -158,16 +165,7 @@ class SceneBuilder:
 
         if not numbers:
             return built
-        chosen = {
-            int(plant): (
-                self._full_model(int(row.choice[member])),
-                float(row.turns[member]),
-                row.bases[member],
-            )
-            for row in built.far_rows
-            for member, plant in enumerate(row.plants)
-            if plant in numbers
-        }
+        chosen = self.full_plants(built, numbers)
         meshes = {plant: grown.mesh for plant, (grown, _, _) in chosen.items()}
         labelled_as = self.greenhouse.far_rows_as
         rows = far_row_meshes(self.far_models, built.far_rows, labelled_as, built.begin[2], meshes)
@@ -191,13 +189,31 @@ class SceneBuilder:
         )
         return replace(built, mesh=mesh, skeleton=skeleton)
 
+    def full_plants(
+        self, built: BuiltScene, numbers: Collection[int]
+    ) -> dict[int, tuple[GrownPlant, float, NDArray[np.float64]]]:
+        """Some plants of the far rows in full, their turns in radians and their stem bases, by number."""
+        return {
+            int(plant): (self._full_model(int(row.choice[at])), float(row.turns[at]), row.bases[at])
+            for row in built.far_rows
+            for at, plant in enumerate(row.plants)
+            if plant in numbers
+        }
+
     def plants(self, set_index: int, worker: FunctionWorker | None = None) -> list[PlacedPlant]:
         """The plants of a set, those of the front row first; a `worker` that helps is left open."""
         if self._set is None or self._set[0] != set_index:
             # Release the old plants before making new ones.
             self._set = None
             count = self.row.plants_front + self.row.plants_back
-            self._set = set_index, make_plants(self._factory, set_index, count, self._processes, worker)
+            self._set = (
+                set_index,
+                self._cache.get(
+                    lambda: make_plants(self._factory, set_index, count, self._processes, worker),
+                    "plants",
+                    set_index,
+                ),
+            )
         return self._set[1]
 
     @property
@@ -212,10 +228,11 @@ class SceneBuilder:
         from pepperscene.scene import coarsen_plant
         from pepperscene.scene.far_rows import FAR_ROW_PLANTS
 
-        return [
-            coarsen_plant(mesh_plant(self._factory.far_plant(number, FAR_DETAIL), FAR_DETAIL))
-            for number in range(FAR_ROW_PLANTS)
-        ]
+        def make() -> list[Mesh]:
+            plants = [self._factory.far_plant(number, FAR_DETAIL) for number in range(FAR_ROW_PLANTS)]
+            return [coarsen_plant(mesh_plant(plant, FAR_DETAIL)) for plant in plants]
+
+        return self._cache.get(make, "far models")
 
     def estimate_triangles(self) -> int:
         """Triangles of a scene, from the first plant of the first set: it is drawn, but not built."""
@@ -235,8 +252,24 @@ class SceneBuilder:
     def _full_model(self, number: int) -> GrownPlant:
         """One of these plants in full, grown when it is first needed."""
         if number not in self._full_models:
-            self._full_models[number] = self._factory.full_far_plant(number)
+            self._full_models[number] = self._cache.get(
+                lambda: self._factory.full_far_plant(number), "full plant", number
+            )
         return self._full_models[number]
+
+
+def _row_classes() -> tuple[type, ...]:
+    """What plants and rows consist of."""
+    from pepperscene.classes import Appearance, Instance, OrganClass
+    from pepperscene.cultivar.organs import FruitScans, OrganKind
+    from pepperscene.geometry import ContactCounts, JointRotation, Mesh
+    from pepperscene.grammar import Organ, Plant
+    from pepperscene.scene import FarRow, Posture
+    from pepperscene.scene.placement import Skeleton
+
+    of_plants = (FruitScans, OrganKind, Organ, Plant, GrownPlant, PlacedPlant, Posture)
+    of_meshes = (Appearance, Instance, OrganClass, JointRotation, Mesh, ContactCounts)
+    return (*of_plants, *of_meshes, FarRow, Skeleton, BuiltScene)
 
 
 def _first_part(mesh: Mesh, vertices: int, faces: int, instances: int) -> Mesh:

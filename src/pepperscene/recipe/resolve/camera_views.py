@@ -72,16 +72,27 @@ class CameraViews:
         """Whether views are random."""
         return isinstance(self._setups.resolved.recipe.views, RandomViews)
 
-    def camera(self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None) -> Camera:
+    def view(self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None) -> View:
+        """The view of a frame's main camera; arguments as in `camera`."""
+        return self._view(spec, self._setups.at(spec), scene, visible)
+
+    def camera(
+        self,
+        spec: FrameSpec,
+        scene: Scene | None = None,
+        visible: PointTest | None = None,
+        view: View | None = None,
+    ) -> Camera:
         """The camera of a frame at its pose.
 
         Args:
             spec: the frame.
             scene: of the frame; needed if views depend on the scene.
             visible: tests whether points of that scene are visible; needed for random views.
+            view: of the main camera, in place of the frame's own.
         """
         setup = self._setups.at(spec)
-        return self._camera_at(spec, setup, self._view(spec, setup, scene, visible))
+        return self._camera_at(spec, setup, view or self._view(spec, setup, scene, visible))
 
     def _camera_at(self, spec: FrameSpec, setup: FrameSetup, view: View) -> Camera:
         """The camera of a frame with a view."""
@@ -107,32 +118,37 @@ class CameraViews:
         outputs: Iterable[str],
         scene: Scene | None = None,
         visible: PointTest | None = None,
+        view: View | None = None,
     ) -> Partners:
-        """The further devices that outputs of a frame need.
+        """The further devices that outputs of a frame need; other arguments as in `camera`.
 
-        The camera of the next step is missing at the last one. The stereo partner looks in the same direction
-        from one baseline further right, at the same time and by the same flash. Raises `InputError` if the
-        recipe has no partner that an output needs.
+        The camera of the next step is missing at the last one, and beside a `view`. The stereo partner looks
+        in the same direction from one baseline further right, at the same time and by the same flash. Raises
+        `InputError` if the recipe has no partner that an output needs.
         """
         from pepperscene.camera import Partners
 
         names, recipe = set(outputs), self._setups.at(spec).recipe
         check_further_cameras(recipe, names)
         partners = Partners()
-        if "flow" in names and spec.step + 1 < self._plan.frames:
+        if "flow" in names and view is None and spec.step + 1 < self._plan.frames:
             next_spec = self._plan.frame(spec.index + self._plan.cameras)
             partners = replace(partners, flow=self.camera(next_spec, scene, visible))
         if names & STEREO_OUTPUTS and recipe.camera.baseline_m is not None:
-            stereo = _stereo_partner(self.camera(spec, scene, visible), recipe.camera.baseline_m)
+            stereo = _stereo_partner(self.camera(spec, scene, visible, view), recipe.camera.baseline_m)
             partners = replace(partners, stereo=stereo)
         if names & DEPTH_CAMERA_OUTPUTS:
-            partners = replace(partners, depth=self.depth_camera(spec, scene, visible))
+            partners = replace(partners, depth=self.depth_camera(spec, scene, visible, view))
         if "reflectance" in names:
             partners = replace(partners, white_reference=white_reference(recipe))
         return partners
 
     def depth_camera(
-        self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None
+        self,
+        spec: FrameSpec,
+        scene: Scene | None = None,
+        visible: PointTest | None = None,
+        view: View | None = None,
     ) -> DepthCamera | None:
         """The depth camera of a frame at its pose, or None; arguments as in `camera`.
 
@@ -141,7 +157,7 @@ class CameraViews:
         setup = self._setups.at(spec)
         if setup.depth_camera is None:
             return None
-        return self._depth_camera_at(setup, self._view(spec, setup, scene, visible))
+        return self._depth_camera_at(setup, view or self._view(spec, setup, scene, visible))
 
     def _depth_camera_at(self, setup: FrameSetup, view: View) -> DepthCamera | None:
         """The depth camera of a frame with a view, or None."""
@@ -175,12 +191,16 @@ class CameraViews:
         )
 
     def near_views(
-        self, specs: Iterable[FrameSpec], scene: Scene | None = None, visible: PointTest | None = None
+        self,
+        specs: Iterable[FrameSpec],
+        scene: Scene | None = None,
+        visible: PointTest | None = None,
+        view: View | None = None,
     ) -> NearViews:
         """What all cameras of some frames show from near, partners included; arguments: see `camera`."""
         from pepperscene.recipe.views.near_plants import near_views
 
-        views = [(spec, self._view(spec, self._setups.at(spec), scene, visible)) for spec in specs]
+        views = [(spec, view or self._view(spec, self._setups.at(spec), scene, visible)) for spec in specs]
         return near_views(camera for spec, view in views for camera in self._all_cameras(spec, view))
 
     def drawn(self, scene: Scene) -> DrawnViews:

@@ -80,16 +80,25 @@ class FreeSpace:
 
     def clearance(self, points: ArrayLike) -> FloatArray:
         """`(n,)` exact distance in metres from `(n, 3)` points to the nearest triangle."""
+        return self.nearest(points)[0]
+
+    def nearest(self, points: ArrayLike) -> tuple[FloatArray, NDArray[np.intp]]:
+        """`(n,)` distance in metres from `(n, 3)` points to the nearest triangle, and `(n,)` its index."""
         points = as_points(points)
         # A centroid is a point of a surface, so nothing beyond the nearest one matters.
-        nearest = np.full(len(points), np.inf)
+        nearest, nearest_face = np.full(len(points), np.inf), np.zeros(len(points), np.intp)
         for group in self._classes:
             if group.tree is not None:
                 nearest = np.minimum(nearest, group.tree.query(points)[0])
+        reach, nearest = nearest * (1.0 + _SINGLE), np.full(len(points), np.inf)
         for group in self._classes:
-            point, face = group.candidates(points, nearest)
-            np.minimum.at(nearest, point, triangle_distances(points[point], self._triangles(face)))
-        return nearest
+            point, face = group.candidates(points, np.minimum(reach, nearest))
+            distance = triangle_distances(points[point], self._triangles(face))
+            # The last of several assignments counts, that of the smallest distance.
+            order = np.argsort(-distance, kind="stable")
+            order = order[distance[order] < nearest[point[order]]]
+            nearest[point[order]], nearest_face[point[order]] = distance[order], face[order]
+        return nearest, nearest_face
 
     def is_free(self, points: ArrayLike, clearance_m: float) -> NDArray[np.bool_]:
         """`(n,)` whether no surface is within a distance of `(n, 3)` points; faster than `clearance`."""

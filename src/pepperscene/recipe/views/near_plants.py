@@ -105,6 +105,11 @@ class CoarsePlants:
         radii = np.array([model.radius_m for model in self._models])
         self._radii = radii[self._choice]
 
+    @property
+    def numbers(self) -> frozenset[int]:
+        """The numbers of the plants."""
+        return frozenset(self._numbers.tolist())
+
     def shown_near(self, views: NearViews) -> tuple[int, ...]:
         """The numbers of the plants with a triangle that a view shows nearer than `NEAR_M`, ascending."""
         shown = [plant for plant in range(len(self._numbers)) if self._is_shown(plant, views)]

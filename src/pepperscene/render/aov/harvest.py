@@ -54,12 +54,19 @@ class SceneHarvest:
         near = [index for index, in_view in zip(self._fruit, self._in_view(camera), strict=True) if in_view]
         fruit = []
         for index, amodal in self._organs.amodal_masks(near, camera, rays, instance):
-            # The truth of a fruit is the same in all views.
-            if index not in self._truths:
-                self._truths[index] = self._fruit_truth(index)
-            fruit.append((self._truths[index], amodal))
+            fruit.append((self._truth_of(index), amodal))
         view = LabelView(camera, instance, distance)
         return harvest_truth(fruit, view, self._mesh.instances)
+
+    def truths(self) -> list[FruitTruth]:
+        """The truth of all fruit, in view or not, by ascending index."""
+        return [self._truth_of(index) for index in self._fruit]
+
+    def _truth_of(self, index: int) -> FruitTruth:
+        # The truth of a fruit is the same in all views.
+        if index not in self._truths:
+            self._truths[index] = self._fruit_truth(index)
+        return self._truths[index]
 
     @cached_property
     def _fruit(self) -> dict[int, IsolatedOrgan]:
@@ -133,7 +140,11 @@ def _organ_form(skeleton: Skeleton, index: int) -> str | None:
 
 
 def find_fruit_stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitStalk | None:
-    """The stalk of a fruit, directly above it or above its calyx; None if it has none."""
+    """The stalk of a fruit, directly above it or above its calyx; None if it has none.
+
+    It is cut where it grew, so an edit moves the cut with it.
+    """
+    edited, skeleton = skeleton, skeleton.grown
     forms = [_organ_form(skeleton, index) for index in ancestors]
     position = next((step for step in range(1, len(forms)) if forms[step] != "calyx"), len(forms))
     if position == len(forms) or forms[position] != "peduncle":
@@ -142,7 +153,7 @@ def find_fruit_stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitSta
     # The same curve that the stalk's mesh is built around.
     smooth = spines([organ.curve], [organ.up], _STALK_STEPS).points[0]
     parent = ancestors[position + 1] if position + 1 < len(ancestors) else -1
-    return fruit_stalk(
+    stalk = fruit_stalk(
         smooth,
         float(organ.measures["radius_m"]),
         _tube_shape(skeleton.organ(parent)) if parent >= 0 else None,
@@ -150,6 +161,7 @@ def find_fruit_stalk(skeleton: Skeleton, ancestors: tuple[int, ...]) -> FruitSta
         parent_instance=parent,
         on_stalk=parent >= 0 and forms[position + 1] == "peduncle",
     )
+    return stalk.moved(edited.edit(stalk.instance)) if edited.edits else stalk
 
 
 def _tube_shape(organ: Organ) -> tuple[NDArray[np.float64], float, float]:

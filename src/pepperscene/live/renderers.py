@@ -1,0 +1,96 @@
+"""Renderers of the states of a living scene; the last ones are held."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
+from pepperscene.building.scenes.scene_builder import NearScene
+from pepperscene.camera import Camera
+from pepperscene.live.state import SceneState
+from pepperscene.materials import Surface
+from pepperscene.recipe.plan import FrameSpec
+from pepperscene.recipe.resolve.load_camera import surface_wavelengths
+from pepperscene.render import Renderer
+from pepperscene.scene import Scene
+
+if TYPE_CHECKING:
+    from pepperscene.scene import Sky
+
+
+@dataclass(frozen=True, eq=False)
+class StateRenderer:
+    """A renderer, its scene, and what that was made of: a state, and the first and last wavelength.
+
+    The state of the scene that builds render is None; the wavelengths are None for those of the recipe.
+    """
+
+    assembled: AssembledScene
+    renderer: Renderer
+    state: SceneState | None = None
+    wavelengths: tuple[float, float] | None = None
+
+
+class StateRenderers:
+    """Makes renderers of a frame's scene, edited or as a build has it.
+
+    Args:
+        frames: of the recipe.
+        spec: the frame.
+        near: the objects of its scene.
+    """
+
+    def __init__(self, frames: FrameRenderer, spec: FrameSpec, near: NearScene) -> None:
+        self._frames, self._spec, self._near = frames, spec, near
+        self._held: dict[bool, StateRenderer] = {}
+        self._of_frames: dict[bool, StateRenderer] = {}
+        self._optics: dict[tuple[float, float] | None, tuple[dict[str, Surface], Sky | None]] = {}
+
+    def copy(self) -> StateRenderers:
+        """Another one that holds the same for now."""
+        other = copy.copy(self)
+        other._held, other._of_frames = dict(self._held), dict(self._of_frames)
+        other._optics = dict(self._optics)
+        return other
+
+    def of_frames(self, *, traced: bool) -> StateRenderer:
+        """That of the scene that a build renders, with surfaces and light if it is `traced`."""
+        held = self._of_frames.get(True) or self._of_frames.get(traced)
+        if held is None:
+            optics = self._surfaces(None) if traced else None
+            assembled = self._frames.finish(self._spec, self._near, optics)
+            held = StateRenderer(assembled, Renderer(assembled.scene))
+            self._of_frames = {traced: held}
+        return held
+
+    def of(self, state: SceneState, camera: Camera | None = None, *, traced: bool = False) -> StateRenderer:
+        """That of a state; if light is `traced`, for a camera, by default those of the recipe."""
+        nm = None
+        if traced and camera is not None:
+            detected = surface_wavelengths(camera.sensor)
+            nm = float(detected[0]), float(detected[-1])
+        held = self._held.get(traced)
+        if held is not None and held.state is state and held.wavelengths == nm:
+            return held
+        # Release what is replaced before making the new one.
+        self._held.pop(traced, None)
+        scene, triangles = Scene(state.mesh, skeleton=state.skeleton), len(state.mesh.faces)
+        if traced:
+            surfaces, sky = self._surfaces(nm)
+            named = {**surfaces, **state.materials}
+            scene = replace(scene, surfaces=tuple(named[name] for name in state.surfaces), sky=sky)
+        statistics = {
+            "contacts": asdict(self._near.built.contacts),
+            "geometry": {"triangles": triangles, "of": triangles},
+        }
+        renderer = Renderer(scene, state.geometry)
+        held = self._held[traced] = StateRenderer(AssembledScene(scene, statistics), renderer, state, nm)
+        return held
+
+    def _surfaces(self, nm: tuple[float, float] | None) -> tuple[dict[str, Surface], Sky | None]:
+        """The surfaces by name and the sky, for the recipe's cameras or another range of wavelengths."""
+        if nm not in self._optics:
+            self._optics[nm] = self._frames.optics(self._spec, nm)
+        return self._optics[nm]

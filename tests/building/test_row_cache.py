@@ -1,0 +1,119 @@
+"""Grown rows in a folder: taken from there by another builder, never damaged, never code, within a limit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+
+import numpy as np
+import pytest
+
+import pepperscene as ps
+from pepperscene.building.scenes import row_cache, scene_builder
+from pepperscene.building.scenes.scene_builder import SceneBuilder
+
+CHANGES = {"row.plants_front": 1, "row.plants_back": 0, "cultivar": "kaite_february"}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv(row_cache.CACHE, str(tmp_path / "rows"))
+    return tmp_path / "rows"
+
+
+def builder(**changes):
+    recipe = ps.load_recipe("barth2018", CHANGES | changes)
+    return SceneBuilder(recipe, ps.load_cultivar(recipe.cultivar))
+
+
+def files(folder):
+    return sorted(path.name for path in folder.glob("*"))
+
+
+@pytest.fixture
+def no_growth(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("plants are grown")
+
+    monkeypatch.setattr(scene_builder, "make_plants", refuse)
+
+
+def assert_equal_rows(one, two):
+    for name in ("vertices", "normals", "uv", "state", "faces", "face_instance", "face_appearance"):
+        np.testing.assert_array_equal(getattr(one.mesh, name), getattr(two.mesh, name))
+    assert one.mesh.instances == two.mesh.instances
+    assert one.contacts == two.contacts
+    for first, second in zip(one.skeleton.plants, two.skeleton.plants, strict=True):
+        assert first.kinds == second.kinds
+        for organ, other in zip(first.organs, second.organs, strict=True):
+            np.testing.assert_array_equal(organ.curve, other.curve)
+
+
+def test_another_builder_takes_a_row_from_the_folder(folder, request):
+    grown = builder().scene(0, 0)
+    before = files(folder)
+    assert len(before) == 2
+    request.getfixturevalue("no_growth")
+    other = builder()
+    assert_equal_rows(other.scene(0, 0), grown)
+    assert len(other.plants(0)) == 1
+    assert other.scene(0, 0).mesh.cultivars[0] is other.cultivar
+    assert files(folder) == before
+
+
+@pytest.mark.parametrize("change", [{"seed": 7}, {"row.spacing_mm": 300}, {"cultivar": "kaite"}])
+def test_rows_of_other_recipes_are_others(folder, no_growth, change):
+    with pytest.raises(AssertionError, match="plants are grown"):
+        builder(**change).scene(0, 0)
+
+
+def test_no_rows_are_kept_where_that_is_switched_off(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv(row_cache.CACHE, "None")
+    builder().scene(0, 0)
+    assert files(tmp_path) == []
+    monkeypatch.setenv(row_cache.CACHE, "")
+    assert tmp_path in (row_cache.cache_folder() or tmp_path / "x").parents
+
+
+@pytest.mark.parametrize("damage", ["cut", "changed", "empty"])
+def test_damaged_files_are_replaced(folder, damage):
+    grown = builder().scene(0, 0)
+    whole = {path: path.read_bytes() for path in folder.glob("*")}
+    for path, content in whole.items():
+        half = len(content) // 2
+        changed = content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
+        path.write_bytes({"cut": content[:half], "changed": changed, "empty": b""}[damage])
+    assert_equal_rows(builder().scene(0, 0), grown)
+    assert {path: path.read_bytes() for path in folder.glob("*")} == whole
+
+
+@pytest.mark.parametrize(
+    "content", [["subprocess.run", ["list", "true"]], ["array", "|O", 1], ["Renderer", 1]]
+)
+def test_files_hold_only_what_rows_consist_of(folder, content):
+    grown = builder().scene(0, 0)
+    text = json.dumps(content).encode()
+    body = len(text).to_bytes(8, "little") + text + bytes(64)
+    for path in folder.glob("*"):
+        path.write_bytes(body + hashlib.blake2b(body, digest_size=32).digest())
+    assert_equal_rows(builder().scene(0, 0), grown)
+
+
+def test_the_oldest_files_go_first(folder, monkeypatch):
+    builder().scene(0, 0)
+    sizes = [path.stat().st_size for path in folder.glob("*")]
+    for path in folder.glob("*"):
+        os.utime(path, (1, 1))
+    old = files(folder)
+    monkeypatch.setattr(row_cache, "MOST_BYTES", int(1.5 * sum(sizes)))
+    builder(seed=7).scene(0, 0)
+    assert sum(path.stat().st_size for path in folder.glob("*")) <= 1.5 * sum(sizes)
+    assert not set(old) <= set(files(folder))
+
+
+def test_a_folder_that_cannot_be_used_is_no_error(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(row_cache.CACHE, str(tmp_path / "file"))
+    assert len(builder().scene(0, 0).mesh.faces) > 0
