@@ -12,7 +12,8 @@ from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
-from pepperscene.geometry.export import FORMATS, mesh_files, organ_names, write_mesh
+from pepperscene.geometry.export import FORMATS, mesh_files, write_mesh
+from pepperscene.geometry.organ_parts import organ_names
 from pepperscene.grammar import grow
 
 LEAF_COLOURS = {"leaf": np.array([[0.2, 0.3, 0.1], [0.02, 0.05, 0.01]])}
