@@ -1,8 +1,8 @@
-"""Natural colours of a mesh for other programs: by pigment state, and baked into images over its surfaces.
+"""Natural colours of a mesh for other programs, baked into images over its surfaces.
 
-A colour is the diffuse reflectance of the front in D65, for the CIE 1931 observer; a perfect diffuser is 1, 1,
-1. An image has a tile for each organ, whose texels have the pigment states of the vertices around them, with
-the patterns, the ageing and the residue that the renderer gives the organ.
+A colour is the diffuse reflectance of the front in D65, for the CIE 1931 observer; that of a perfect diffuser
+is 1, 1, 1. An image has a tile for each organ, whose texels have the pigment states of the vertices around
+them, with the patterns, the ageing and the residue that the renderer gives the organ.
 """
 
 from __future__ import annotations
@@ -242,8 +242,9 @@ class _Atlas:
 
 
 def _barycentric(corners: FloatArray, at: NDArray[np.intp]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """`(n, 3)` barycentric coordinates of the places in triangles nearest to points, nan for those without
-    area, and whether the points are inside.
+    """`(n, 3)` barycentric coordinates of places in triangles near points, and whether these are inside.
+
+    nan for triangles without area.
     """
     origin, first, second = corners.transpose(1, 0, 2)
     a, b, p = first - origin, second - origin, at - origin
@@ -251,6 +252,6 @@ def _barycentric(corners: FloatArray, at: NDArray[np.intp]) -> tuple[FloatArray,
         area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
         along_a = (p[:, 0] * b[:, 1] - p[:, 1] * b[:, 0]) / area
         along_b = (a[:, 0] * p[:, 1] - a[:, 1] * p[:, 0]) / area
-    exact = np.stack([1.0 - along_a - along_b, along_a, along_b], axis=1)
+        exact = np.stack([1.0 - along_a - along_b, along_a, along_b], axis=1)
     clipped = np.clip(exact, 0.0, 1.0)
     return clipped / clipped.sum(axis=1, keepdims=True), np.asarray(exact.min(axis=1) >= -1e-9)

@@ -1,4 +1,4 @@
-"""The organs of a mesh as nodes of a file: their names, their poses, and their triangles surface by surface."""
+"""The organs of a mesh as nodes of a file: their names, their poses, and their triangles by surface."""
 
 from __future__ import annotations
 

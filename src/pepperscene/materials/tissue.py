@@ -1,4 +1,4 @@
-"""The state of tissue at places of surfaces: which texture an organ has, and what its pigment state is there."""
+"""The pigment state of tissue at places of surfaces, and which texture an organ has."""
 
 from __future__ import annotations
 

@@ -54,12 +54,19 @@ class SceneHarvest:
         near = [index for index, in_view in zip(self._fruit, self._in_view(camera), strict=True) if in_view]
         fruit = []
         for index, amodal in self._organs.amodal_masks(near, camera, rays, instance):
-            # The truth of a fruit is the same in all views.
-            if index not in self._truths:
-                self._truths[index] = self._fruit_truth(index)
-            fruit.append((self._truths[index], amodal))
+            fruit.append((self._truth_of(index), amodal))
         view = LabelView(camera, instance, distance)
         return harvest_truth(fruit, view, self._mesh.instances)
+
+    def truths(self) -> list[FruitTruth]:
+        """The truth of all fruit, in view or not, by ascending index."""
+        return [self._truth_of(index) for index in self._fruit]
+
+    def _truth_of(self, index: int) -> FruitTruth:
+        # The truth of a fruit is the same in all views.
+        if index not in self._truths:
+            self._truths[index] = self._fruit_truth(index)
+        return self._truths[index]
 
     @cached_property
     def _fruit(self) -> dict[int, IsolatedOrgan]:
