@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -127,12 +128,11 @@ class _Materials:
         texture: NDArray[np.uint8] | None = None,
     ) -> Any:
         from PIL import Image
-        from trimesh.visual.material import PBRMaterial
 
         if name not in self._made:
             if factor is not None:
                 self._factors[name] = factor
-            self._made[name] = PBRMaterial(
+            self._made[name] = _named_material()(
                 name=name,
                 baseColorFactor=factor,
                 baseColorTexture=None if texture is None else Image.fromarray(texture),
@@ -147,6 +147,18 @@ class _Materials:
         for material in tree["materials"]:
             if material["name"] in self._factors:
                 material["pbrMetallicRoughness"]["baseColorFactor"] = self._factors[material["name"]]
+
+
+@cache
+def _named_material() -> type:
+    """Materials that differ if their names do: trimesh would read the image again for every organ."""
+    from trimesh.visual.material import PBRMaterial
+
+    class NamedMaterial(PBRMaterial):
+        def __hash__(self) -> int:
+            return hash(self.name)
+
+    return NamedMaterial
 
 
 def _base_colour(organ_class: OrganClass, step: int, colours: NDArray[Any] | None) -> list[float]:

@@ -66,8 +66,8 @@ def export_scene(
 
     Args:
         scene: a scene, or a recipe, the name of a shipped one, or a path.
-        out: the file; its suffix is the format. Its folder is made if missing, existing files are replaced; the
-            folder of an SDF must be new or empty.
+        out: the file; its suffix is the format. Its folder is made if missing, existing files are replaced.
+            The folder of an SDF must be new or empty.
         frame: index of the frame of a recipe; None for the first that it selects.
         camera: of a scene; a recipe has its own.
         allow_code: whether the recipe's code may run.
