@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.classes import Appearance, OrganClass
 from pepperscene.errors import ArgumentError
-from pepperscene.geometry.mesh import PIGMENTS, Mesh, expand_counts
+from pepperscene.geometry.mesh import PIGMENTS, Mesh
 
 if TYPE_CHECKING:
     from pepperscene.materials import Surface
@@ -105,12 +105,11 @@ def bake_colours(mesh: Mesh, surfaces: Mapping[str, Surface]) -> BakedColours:
     for name, surface, tile, rows in _parts(mesh, surfaces):
         corners = mesh.faces[rows]
         # Texels of organs with the same appearance are in one tile.
-        keys = np.stack([mesh.face_instance[rows], mesh.face_appearance[rows]], axis=1)
-        organs, number = np.unique(keys, axis=0, return_inverse=True)
-        number = number.reshape(-1)
+        keys = mesh.face_instance[rows].astype(np.int64) * len(mesh.appearances) + mesh.face_appearance[rows]
+        organs, number = np.unique(keys, return_inverse=True)
         atlas = _Atlas.of(len(organs), tile)
         state = atlas.rasterise(number, mesh.uv[corners].astype(float), mesh.state[corners].astype(float))
-        appearances = [mesh.appearances[index] for index in organs[:, 1]]
+        appearances = [mesh.appearances[key % len(mesh.appearances)] for key in organs.tolist()]
         colours = [
             _texel_colours(surface, atlas.texel_uv, state[batch], appearances[batch])
             for batch in _batches(len(organs), math.prod(tile))
@@ -210,27 +209,14 @@ class _Atlas:
             uv: `(f, 3, 2)` surface coordinates of its corners.
             values: `(f, 3)` at its corners.
         """
+        from pepperscene.geometry.texel_kernel import fill_texels
+
         width, height = self.tile
         weight = np.bincount(number, minlength=self.count)
         mean = np.bincount(number, values.mean(axis=1), self.count) / np.maximum(weight, 1)
-        texels = np.repeat(mean[:, None], width * height, axis=1)
-        inside = np.full(texels.size, np.nan)
-        corners = uv * (np.array(self.tile) - 1)
-        low = np.clip(np.floor(corners.min(axis=1)), 0, np.array(self.tile) - 1).astype(np.intp)
-        high = np.clip(np.ceil(corners.max(axis=1)), 0, np.array(self.tile) - 1).astype(np.intp)
-        spans = high - low + 1
-        for first in range(0, len(number), _BATCH // 8):
-            rows = slice(first, first + _BATCH // 8)
-            owner, step = expand_counts(spans[rows].prod(axis=1))
-            owner += first
-            at = low[owner] + np.stack([step % spans[owner, 0], step // spans[owner, 0]], axis=1)
-            barycentric, is_inside = _barycentric(corners[owner], at)
-            value = (barycentric * values[owner]).sum(axis=1)
-            texel = number[owner] * (width * height) + at[:, 1] * width + at[:, 0]
-            finite = np.isfinite(value)
-            texels.reshape(-1)[texel[finite]] = value[finite]
-            inside[texel[finite & is_inside]] = value[finite & is_inside]
-        return np.where(np.isnan(inside).reshape(texels.shape), texels, inside.reshape(texels.shape))
+        texels = np.repeat(mean, width * height).reshape(self.count, height, width)
+        fill_texels(texels, number, uv * (np.array(self.tile) - 1), values)
+        return texels.reshape(self.count, -1)
 
     def image(self, colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """`(h, w, 3)` the image of the tiles' colours `(count, t, 3)`."""
@@ -239,19 +225,3 @@ class _Atlas:
         tiles[: self.count] = colours.reshape(self.count, height, width, 3)
         rows = tiles.reshape(along, across, height, width, 3).swapaxes(1, 2)
         return np.ascontiguousarray(rows.reshape(along * height, across * width, 3)[::-1])
-
-
-def _barycentric(corners: FloatArray, at: NDArray[np.intp]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """`(n, 3)` barycentric coordinates of places in triangles near points, and whether these are inside.
-
-    nan for triangles without area.
-    """
-    origin, first, second = corners.transpose(1, 0, 2)
-    a, b, p = first - origin, second - origin, at - origin
-    with np.errstate(divide="ignore", invalid="ignore"):
-        area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        along_a = (p[:, 0] * b[:, 1] - p[:, 1] * b[:, 0]) / area
-        along_b = (a[:, 0] * p[:, 1] - a[:, 1] * p[:, 0]) / area
-        exact = np.stack([1.0 - along_a - along_b, along_a, along_b], axis=1)
-    clipped = np.clip(exact, 0.0, 1.0)
-    return clipped / clipped.sum(axis=1, keepdims=True), np.asarray(exact.min(axis=1) >= -1e-9)

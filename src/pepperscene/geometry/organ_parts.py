@@ -72,9 +72,9 @@ class OrganPart:
         """The triangles for trimesh, in the axes of a pose; None for those of the mesh."""
         import trimesh
 
-        if pose is None:
-            points, normals = mesh.vertices[self.vertices], mesh.normals[self.vertices]
-        else:
+        points: NDArray[Any] = mesh.vertices[self.vertices]
+        normals: NDArray[Any] = mesh.normals[self.vertices]
+        if pose is not None:
             points, normals = self.local(mesh, pose)
         return trimesh.Trimesh(points, self.faces, vertex_normals=normals, process=False)
 
