@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import Instance, OrganClass
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -14,8 +14,12 @@ if TYPE_CHECKING:
 FRUIT_DENSITY: Final = 500.0  # kg m-3 of the outer volume; chosen: peppers are hollow
 BREAK_FORCE_N: Final = 30.0  # chosen: fifteen times the weight of a fruit of 200 g
 BREAK_TORQUE_N_M: Final = 1.0  # chosen: that force at a lever of 3 cm
-RIGID: Final = frozenset({OrganClass.STEM, OrganClass.WIRE, OrganClass.BACKGROUND})
-"""Classes that a gripper collides with, besides fruit: others yield."""
+_RIGID: Final = frozenset({OrganClass.STEM, OrganClass.WIRE})
+
+
+def is_rigid(item: Instance) -> bool:
+    """Whether a gripper collides with what is not a fruit: stems, twine and objects; other organs yield."""
+    return item.organ_class in _RIGID or item.plant < 0
 
 
 def fruit_hull(contents: SceneContents, body: FruitBody) -> Trimesh:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import Instance
-from pepperscene.export.simulators.bodies import FRUIT_DENSITY, RIGID, fruit_hull
+from pepperscene.export.simulators.bodies import FRUIT_DENSITY, fruit_hull, is_rigid
 from pepperscene.export.simulators.contents import FruitBody, Pose, SceneContents, join_instances
 from pepperscene.geometry.glb import encode_glb
 from pepperscene.geometry.organ_parts import OrganNodes, organ_parts, word
@@ -68,7 +68,7 @@ def write_model(contents: SceneContents, folder: Path, name: str) -> tuple[str, 
     # Shapes that collide: what does not yield, and the hulls of fruit.
     files = ["model.sdf", "model.config", _VISUALS]
     for part in organ_parts(mesh, nodes.names):
-        if part.index not in body_of and mesh.instances[part.index].organ_class in RIGID:
+        if part.index not in body_of and is_rigid(mesh.instances[part.index]):
             files.append(_add_collision(crop, folder, part.name, part.body(mesh)))
     for body in contents.bodies:
         hull, link = fruit_hull(contents, body), links[body.fruit]

@@ -21,9 +21,9 @@ from pepperscene.dataset.store.images import png_bytes
 from pepperscene.export.simulators.bodies import (
     BREAK_FORCE_N,
     BREAK_TORQUE_N_M,
-    RIGID,
     fruit_hull,
     fruit_mass_kg,
+    is_rigid,
 )
 from pepperscene.export.simulators.contents import FruitBody, Pose, SceneContents
 from pepperscene.geometry.glb import roughness
@@ -117,7 +117,6 @@ class _Stage:
         self._xform(_OBJECTS)
         for number, pose in contents.nodes.plants.items():
             prim = self._xform(f"{_PLANTS}{number}", pose)
-            self._label(prim, {"class": "plant"})
             self._set(prim, "plant", number)
         # Bodies first: their organs are inside.
         bases: dict[int, tuple[str, Pose]] = {}
@@ -240,7 +239,7 @@ class _Stage:
         """Fruit collides as its convex hull, what does not move as its triangles, leaves and stalks not."""
         item, tokens = self.contents.mesh.instances[part.index], self.pxr.UsdPhysics.Tokens
         is_fruit = part.index in self.contents.truths
-        if not is_fruit and item.organ_class not in RIGID:
+        if not is_fruit and not is_rigid(item):
             return
         self.pxr.UsdPhysics.CollisionAPI.Apply(prim)
         api = self.pxr.UsdPhysics.MeshCollisionAPI.Apply(prim)
