@@ -9,7 +9,7 @@ from pepperscene.classes import Instance, OrganClass
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-    from pepperscene.export.simulators.contents import FruitBody, SceneContents
+    from pepperscene.export.simulators.contents import HarvestBody, SceneContents
 
 FRUIT_DENSITY: Final = 500.0  # kg m-3 of the outer volume; chosen: peppers are hollow
 BREAK_FORCE_N: Final = 30.0  # chosen: fifteen times the weight of a fruit of 200 g
@@ -22,7 +22,7 @@ def is_rigid(item: Instance) -> bool:
     return item.organ_class in _RIGID or item.plant < 0
 
 
-def fruit_hull(contents: SceneContents, body: FruitBody) -> Trimesh:
+def fruit_hull(contents: SceneContents, body: HarvestBody) -> Trimesh:
     """The convex hull of a fruit in the axes of its body, metres."""
     import trimesh
 

@@ -31,7 +31,7 @@ FORMAT: Final = "pepperscene scene 1"
 
 
 @dataclass(frozen=True, eq=False)
-class FruitBody:
+class HarvestBody:
     """What comes off the plant when a fruit is cut: its stalk beyond the cut, the calyx and the fruit.
 
     Attributes:
@@ -75,7 +75,7 @@ class SceneContents:
         return bake_colours(self.mesh, natural_surfaces(self.mesh))
 
     @cached_property
-    def bodies(self) -> tuple[FruitBody, ...]:
+    def bodies(self) -> tuple[HarvestBody, ...]:
         """The bodies of all fruit."""
         children: dict[int, list[int]] = {}
         for index, item in enumerate(self.mesh.instances):
@@ -91,7 +91,7 @@ class SceneContents:
                 members = [node_of[stalk.instance + 1]]
                 for member in members:
                     members += children.get(member, [])
-            bodies.append(FruitBody(index, tuple(members), pose, self.mesh.instances[index].plant))
+            bodies.append(HarvestBody(index, tuple(members), pose, self.mesh.instances[index].plant))
         return tuple(bodies)
 
     @property

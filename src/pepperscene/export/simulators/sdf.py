@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pepperscene.classes import Instance
 from pepperscene.export.simulators.bodies import FRUIT_DENSITY, fruit_hull, is_rigid
-from pepperscene.export.simulators.contents import FruitBody, Pose, SceneContents, join_instances
+from pepperscene.export.simulators.contents import HarvestBody, Pose, SceneContents, join_instances
 from pepperscene.geometry.glb import encode_glb
 from pepperscene.geometry.organ_parts import OrganNodes, organ_parts, word
 
@@ -83,14 +83,14 @@ def write_model(contents: SceneContents, folder: Path, name: str) -> tuple[str, 
     return tuple(files)
 
 
-def _joined(contents: SceneContents) -> tuple[Mesh, OrganNodes, Mapping[int, FruitBody]]:
+def _joined(contents: SceneContents) -> tuple[Mesh, OrganNodes, Mapping[int, HarvestBody]]:
     """The mesh with what stands joined by plant and class, its nodes, and the body of those that fall."""
     falls = {member: body for body in contents.bodies for member in body.members}
     number: dict[object, int] = {}
     groups = np.zeros(len(contents.mesh.instances), np.intp)
     instances: list[Instance] = []
     names: list[str] = []
-    body_of: dict[int, FruitBody] = {}
+    body_of: dict[int, HarvestBody] = {}
     for index, item in enumerate(contents.mesh.instances):
         key = index if index in falls else (item.plant, item.class_id)
         groups[index] = number.setdefault(key, len(number))

@@ -25,7 +25,7 @@ from pepperscene.export.simulators.bodies import (
     fruit_mass_kg,
     is_rigid,
 )
-from pepperscene.export.simulators.contents import FruitBody, Pose, SceneContents
+from pepperscene.export.simulators.contents import HarvestBody, Pose, SceneContents
 from pepperscene.geometry.glb import roughness
 from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.geometry.natural_colours import linear_colours
@@ -179,7 +179,7 @@ class _Stage:
             return
         prim.CreateAttribute(_PROPERTY + name, kind, True).Set(value)
 
-    def _body(self, body: FruitBody) -> str:
+    def _body(self, body: HarvestBody) -> str:
         """The prim of what falls when a fruit is cut, without its organs."""
         pxr, name = self.pxr, self.contents.nodes.names[body.fruit]
         path = f"{_PLANTS}{body.plant}/{pxr.Tf.MakeValidIdentifier('body_' + name)}"
@@ -189,7 +189,7 @@ class _Stage:
         pxr.UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(mass)
         return path
 
-    def _joint(self, body: FruitBody) -> None:
+    def _joint(self, body: HarvestBody) -> None:
         """The joint at the cut, between the plant, which does not move, and the body."""
         pxr, plant = self.pxr, f"{_PLANTS}{body.plant}"
         path = self.paths[body.fruit].rpartition("/")[0]
