@@ -554,7 +554,7 @@ def simulators() -> Image.Image:
     ps.export_scene(recipe, CACHE / "scene" / "row.glb", 0)
     content = json.loads((CACHE / "scene" / "row.json").read_text(encoding="utf-8"))
     scene = ps.FrameRenderer(recipe, culled=False).scene(recipe.plan.frame(0), traced=False)
-    figure, axes = canvas()
+    figure, _ = canvas()
     row_axes = figure.add_axes((0, 0, 1, 1))
     draw_mesh(row_axes, scene.mesh, 0.0, {"lamina": "#cfdcc9", "shoot_lamina": "#cfdcc9"})
     for organ in content["organs"]:
