@@ -46,7 +46,6 @@ from .errors import InputError as InputError
 from .errors import OutputError as OutputError
 from .errors import PepperError as PepperError
 from .errors import SetupError as SetupError
-from .export import SceneExport as SceneExport
 from .export import export_dataset as export_dataset
 from .export import export_scene as export_scene
 from .frame import Frame as Frame

@@ -70,12 +70,12 @@ def sdf(small, folder):
 
 @pytest.fixture(scope="module")
 def read_glb(glb):
-    return glb_nodes(glb.files[0])
+    return glb_nodes(glb[0])
 
 
 @pytest.fixture(scope="module")
 def read_usd(usd):
-    return usd_nodes(usd.files[0])
+    return usd_nodes(usd[0])
 
 
 @pytest.fixture(params=["glb", "usd"])
@@ -101,11 +101,11 @@ def test_every_organ_is_a_node_with_its_name_class_and_number(small, nodes):
     assert {"plant_0", "plant_1"} <= set(nodes)
 
 
-def test_fruit_have_the_truth_of_the_frame(small, nodes, glb):
+def test_fruit_have_the_truth_of_the_frame(small, nodes):
     """The output harvest gives poses in camera axes, and points in world axes."""
     organs = {node.extras["instance"]: node for node in nodes.values() if "instance" in node.extras}
     fruit = [item for item in organs.values() if "ripeness" in item.extras]
-    assert len(fruit) == glb.fruit == len(small.scene.skeleton.of_form("fruit"))
+    assert len(fruit) == len(small.scene.skeleton.of_form("fruit"))
     seen = small.frame["harvest"]["fruit"]
     assert seen
     for truth in seen:
@@ -121,7 +121,7 @@ def test_fruit_have_the_truth_of_the_frame(small, nodes, glb):
 
 
 def test_poses_of_the_json_are_those_of_the_nodes(glb, read_glb, small):
-    content = json.loads(glb.files[-1].read_text(encoding="utf-8"))
+    content = json.loads(glb[-1].read_text(encoding="utf-8"))
     for entry in (*content["organs"], *content["plants"]):
         np.testing.assert_allclose(read_glb[entry["name"]].pose, entry["pose"], atol=2e-6)
     assert content["camera"]["width"] == 160
@@ -145,8 +145,8 @@ def test_rays_through_pixels_end_at_their_depth(small, nodes):
 
 def test_textures_have_the_colours_of_the_render(small, glb, read_glb):
     """Where an organ is seen, its mean colour is near the albedo that the camera measures there."""
-    scene = trimesh.load_scene(glb.files[0])
-    assert {one["name"] for one in glb_json(glb.files[0])["materials"]} <= {*small.scene.mesh.surfaces}
+    scene = trimesh.load_scene(glb[0])
+    assert {one["name"] for one in glb_json(glb[0])["materials"]} <= {*small.scene.mesh.surfaces}
     instance, albedo = small.frame["instance"], small.frame["albedo"].astype(float)
     for class_id, name in ((1, "leaf"), (2, "pepper"), (4, "stem")):
         rendered, baked, weights = [], [], []
@@ -174,7 +174,7 @@ def test_textures_have_the_colours_of_the_render(small, glb, read_glb):
 def test_usd_has_images_beside_it_and_all_materials_show_them(usd):
     from pxr import Usd, UsdShade
 
-    stage = Usd.Stage.Open(str(usd.files[0]))
+    stage = Usd.Stage.Open(str(usd[0]))
     found = set()
     for prim in stage.Traverse():
         shader = UsdShade.Shader(prim)
@@ -183,13 +183,13 @@ def test_usd_has_images_beside_it_and_all_materials_show_them(usd):
             found.add(path.path)
             with Image.open(path.resolvedPath) as image:
                 assert image.mode == "RGB"
-    assert found == {f"./{file.name}" for file in usd.files if file.suffix == ".png"}
+    assert found == {f"./{file.name}" for file in usd if file.suffix == ".png"}
 
 
 def test_usd_is_valid(usd):
     from pxr import Usd, UsdGeom, UsdUtils
 
-    stage = Usd.Stage.Open(str(usd.files[0]))
+    stage = Usd.Stage.Open(str(usd[0]))
     assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1.0, "Z")
     if hasattr(UsdUtils, "ComplianceChecker"):
         from pxr import Sdr, Tf
@@ -199,7 +199,7 @@ def test_usd_is_valid(usd):
         with suppress(Tf.ErrorException):
             Sdr.Registry().GetShaderNodeByIdentifier("UsdPreviewSurface")
         checker = UsdUtils.ComplianceChecker(arkit=False, skipARKitRootLayerCheck=True)
-        checker.CheckCompliance(str(usd.files[0]))
+        checker.CheckCompliance(str(usd[0]))
         found = checker.GetErrors() + checker.GetFailedChecks() + checker.GetWarnings()
         assert [text for text in found if "ShaderPropertyTypeConformanceChecker" not in text] == []
     else:
@@ -214,7 +214,7 @@ def test_usd_is_valid(usd):
 def test_usd_has_labels_of_both_schemas(usd):
     from pxr import Usd, UsdGeom, UsdSemantics
 
-    stage = Usd.Stage.Open(str(usd.files[0]))
+    stage = Usd.Stage.Open(str(usd[0]))
     for prim in stage.Traverse():
         if prim.IsA(UsdGeom.Mesh):
             name = prim.GetAttribute("userProperties:class").Get()
@@ -227,7 +227,7 @@ def test_usd_has_labels_of_both_schemas(usd):
 def test_usd_fruit_are_bodies_that_hang_at_their_cut(usd, read_usd, small):
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    stage, cache, joints = Usd.Stage.Open(str(usd.files[0])), UsdGeom.XformCache(), 0
+    stage, cache, joints = Usd.Stage.Open(str(usd[0])), UsdGeom.XformCache(), 0
     for prim in stage.Traverse():
         if not prim.IsA(UsdPhysics.FixedJoint):
             continue
@@ -253,13 +253,13 @@ def test_usd_fruit_are_bodies_that_hang_at_their_cut(usd, read_usd, small):
         mass = UsdPhysics.MassAPI(body).GetMassAttr().Get()
         assert 500.0 * volume * 0.99 <= mass <= 500.0 * volume * 1.3
         assert 0.0 < joint.GetBreakForceAttr().Get() < np.inf
-    assert joints == usd.fruit == len(small.scene.skeleton.of_form("fruit"))
+    assert joints == len(small.scene.skeleton.of_form("fruit"))
 
 
 def test_usd_camera_and_sun_are_those_of_the_frame(usd, small):
     from pxr import Gf, Usd, UsdGeom, UsdLux
 
-    stage = Usd.Stage.Open(str(usd.files[0]))
+    stage = Usd.Stage.Open(str(usd[0]))
     camera = UsdGeom.Camera(stage.GetPrimAtPath("/World/camera")).GetCamera(Usd.TimeCode.Default())
     matrix = camera.frustum.ComputeViewMatrix() * camera.frustum.ComputeProjectionMatrix()
     axes, origin = small.camera.pose[:3, :3], small.camera.pose[:3, 3]
@@ -273,6 +273,9 @@ def test_usd_camera_and_sun_are_those_of_the_frame(usd, small):
     np.testing.assert_allclose(turn.TransformDir(Gf.Vec3d(0, 0, 1)), small.sky.sun.direction, atol=1e-6)
     level = light.GetIntensityAttr().Get() * small.sky.sun.direction[2]
     dome = UsdLux.DomeLight(stage.GetPrimAtPath("/World/sky")).GetIntensityAttr().Get()
+    for path in ("sun", "sky"):
+        colour = UsdLux.LightAPI(stage.GetPrimAtPath(f"/World/{path}")).GetColorAttr().Get()
+        assert np.dot(colour, [0.2126, 0.7152, 0.0722]) == pytest.approx(1.0, abs=1e-3)
     assert level + np.pi * dome == pytest.approx(small.sky.horizontal_illuminance(), rel=1e-3)
 
 
@@ -295,7 +298,7 @@ RULES = {
 
 
 def test_sdf_follows_the_rules_of_the_format(sdf):
-    root = ElementTree.parse(sdf.files[0]).getroot()
+    root = ElementTree.parse(sdf[0]).getroot()
     assert root.tag == "sdf"
     for element in root.iter():
         if element.tag in RULES:
@@ -311,12 +314,10 @@ def test_sdf_follows_the_rules_of_the_format(sdf):
         names = [one.get("name") for one in root.iter(tag)]
         assert len(set(names)) == len(names)
     for uri in root.iter("uri"):
-        assert (sdf.files[0].parent / uri.text).is_file()
-    config = ElementTree.parse(sdf.files[1]).getroot()
+        assert (sdf[0].parent / uri.text).is_file()
+    config = ElementTree.parse(sdf[1]).getroot()
     assert config.findtext("sdf") == "model.sdf"
-    assert {file.name for file in sdf.files} == {
-        path.name for path in sdf.files[0].parent.rglob("*") if path.is_file()
-    }
+    assert {file.name for file in sdf} == {path.name for path in sdf[0].parent.rglob("*") if path.is_file()}
 
 
 def pose_matrix(text):
@@ -329,9 +330,9 @@ def pose_matrix(text):
 
 def test_sdf_shows_the_triangles_of_the_scene_with_their_labels(sdf, small):
     mesh = small.scene.mesh
-    shown = trimesh.load_scene(sdf.files[0].parent / "meshes" / "scene.glb")
+    shown = trimesh.load_scene(sdf[0].parent / "meshes" / "scene.glb")
     triangles, labels = [], []
-    for link in ElementTree.parse(sdf.files[0]).getroot().iter("link"):
+    for link in ElementTree.parse(sdf[0]).getroot().iter("link"):
         for visual in link.iter("visual"):
             name = visual.findtext("geometry/mesh/submesh/name")
             # Gazebo applies the transforms of nodes and takes the coordinates as they are.
@@ -352,16 +353,16 @@ def test_sdf_shows_the_triangles_of_the_scene_with_their_labels(sdf, small):
 
 
 def test_sdf_fruit_fall_as_hulls_when_they_are_cut(sdf, small):
-    root = ElementTree.parse(sdf.files[0]).getroot()
+    root = ElementTree.parse(sdf[0]).getroot()
     links = {link.get("name"): link for link in root.iter("link")}
     plugins = root.findall("model/plugin")
-    assert len(plugins) == sdf.fruit == len(links) - 1
+    assert len(plugins) == len(small.scene.skeleton.of_form("fruit")) == len(links) - 1
     for plugin in plugins:
         link = links[plugin.findtext("child_link")]
         assert plugin.findtext("child_model") == "__model__"
         assert plugin.findtext("detach_topic") == f"/model/row/{link.get('name')}/detach"
         uri = link.findtext("collision/geometry/mesh/uri")
-        hull = trimesh.load(sdf.files[0].parent / uri)
+        hull = trimesh.load(sdf[0].parent / uri)
         assert hull.is_watertight
         mass = float(link.findtext("inertial/mass"))
         assert mass == pytest.approx(500.0 * hull.volume, rel=1e-3)
@@ -392,14 +393,14 @@ def test_coarse_plants_are_joined_and_keep_all_numbers(small):
 def test_a_recipe_is_exported_as_its_scene_is(small, glb, tmp_path, rows):
     with rows_from(rows):
         result = ps.export_scene(small.recipe, tmp_path / "new" / "row.glb", FRAME)
-    assert result.files[0].read_bytes() == glb.files[0].read_bytes()
-    content = json.loads(result.files[1].read_text(encoding="utf-8"))
+    assert result[0].read_bytes() == glb[0].read_bytes()
+    content = json.loads(result[1].read_text(encoding="utf-8"))
     assert (content["recipe"], content["frame"]) == ("barth2018", FRAME)
     # Files of an earlier call are replaced.
     content["frame"] = 0
-    result.files[1].write_text("old")
-    ps.export_scene(small.scene, result.files[0])
-    assert json.loads(result.files[1].read_text(encoding="utf-8"))["camera"] is None
+    result[1].write_text("old")
+    ps.export_scene(small.scene, result[0])
+    assert json.loads(result[1].read_text(encoding="utf-8"))["camera"] is None
 
 
 def test_invalid_arguments_write_nothing(small, tmp_path):
@@ -424,8 +425,8 @@ def test_invalid_arguments_write_nothing(small, tmp_path):
 
 
 def test_glb_has_its_images_inside(glb):
-    content = glb.files[0].read_bytes()
-    tree = glb_json(glb.files[0])
+    content = glb[0].read_bytes()
+    tree = glb_json(glb[0])
     start = 28 + int.from_bytes(content[12:16], "little")
     assert tree["images"]
     for image in tree["images"]:

@@ -199,12 +199,8 @@ def scene(
 
     resolved = resolve_recipe(recipe, parse_changes(set or ()), seed, allow_code=allow_code)
     with render_status() as on_stage:
-        result = export_scene(resolved, out, frame, on_stage=on_stage)
-    typer.echo(
-        f"{result.plants} plants, {result.organs:,} organs and objects, {result.fruit} fruit, "
-        f"{result.triangles:,} triangles"
-    )
-    for path in result.files:
+        paths = export_scene(resolved, out, frame, on_stage=on_stage)
+    for path in paths:
         typer.echo(path)
 
 

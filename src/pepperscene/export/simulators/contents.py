@@ -76,15 +76,18 @@ class SceneContents:
 
     @cached_property
     def bodies(self) -> tuple[HarvestBody, ...]:
-        """The bodies of all fruit."""
+        """The bodies of all fruit; fruit that share a stalk are one, of the first of them."""
         children: dict[int, list[int]] = {}
         for index, item in enumerate(self.mesh.instances):
             children.setdefault(item.parent, []).append(index)
         node_of = {number: index for index, number in enumerate(self._first_numbers)}
-        bodies = []
+        bodies, cut = [], set[int]()
         for index, truth in self.truths.items():
             stalk, pose, members = truth.stalk, truth.pose, [index]
+            if stalk is not None and stalk.instance in cut:
+                continue
             if stalk is not None:
+                cut.add(stalk.instance)
                 pose = np.eye(4)
                 pose[:3, :3] = axis_frames(stalk.tangent[None], truth.pose[None, :3, 0])[0].T
                 pose[:3, 3] = stalk.cut

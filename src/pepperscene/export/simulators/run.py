@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,25 +25,6 @@ if TYPE_CHECKING:
 SUFFIXES: Final = (".glb", ".usd", ".usda", ".usdc", ".sdf")
 
 
-@dataclass(frozen=True)
-class SceneExport:
-    """The result of `export_scene`.
-
-    Attributes:
-        files: the scene's file first, then its images and meshes, and the JSON last.
-        plants: number of plants.
-        organs: number of nodes: organs, objects, and the joined classes of coarse plants.
-        fruit: number of fruit with truth.
-        triangles: of the scene.
-    """
-
-    files: tuple[Path, ...]
-    plants: int
-    organs: int
-    fruit: int
-    triangles: int
-
-
 def export_scene(
     scene: Scene | Recipe | ResolvedRecipe | str | Path,
     out: str | Path,
@@ -53,7 +33,7 @@ def export_scene(
     camera: Camera | None = None,
     allow_code: bool = False,
     on_stage: Callable[[str], None] | None = None,
-) -> SceneExport:
+) -> tuple[Path, ...]:
     """Write the whole scene of a frame for another program: plants, greenhouse, truth of fruit, colours.
 
     - `.glb`: a node with a pose for each plant and organ; class, instance, ripeness and cut point as extras;
@@ -73,6 +53,9 @@ def export_scene(
         allow_code: whether the recipe's code may run.
         on_stage: called with the name of each stage when it begins.
 
+    Returns:
+        The files: the scene's own first, then its images or meshes, and the JSON last.
+
     Raises:
         InputError: an argument, the recipe or a file that it names is not valid; nothing is written.
         OutputError: a file cannot be written.
@@ -88,11 +71,7 @@ def export_scene(
     with report_memory_errors():
         contents = _contents(scene, frame, camera, allow_code, stage)
         stage("baking colours and writing files")
-        files = _write(contents, path, suffix)
-    mesh = contents.mesh
-    return SceneExport(
-        files, len(contents.nodes.plants), len(mesh.instances), len(contents.truths), len(mesh.faces)
-    )
+        return _write(contents, path, suffix)
 
 
 def _contents(

@@ -45,6 +45,7 @@ _PLANTS: Final = f"{_ROOT}/plant_"
 _OBJECTS: Final = f"{_ROOT}/objects"
 _LOOKS: Final = f"{_ROOT}/looks"
 _TENTHS: Final = 10.0  # focal lengths and apertures are in tenths of the stage's unit
+_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
 _FAR_M: Final = 100.0  # chosen: far clipping plane
 _NEAR_M: Final = 0.01  # chosen: near clipping plane
 _PROPERTY: Final = "userProperties:"
@@ -91,18 +92,7 @@ class _Stage:
 
     def __post_init__(self) -> None:
         self.pxr = import_library("pxr", "usd")
-        for module in (
-            "Gf",
-            "Sdf",
-            "Tf",
-            "Usd",
-            "UsdGeom",
-            "UsdLux",
-            "UsdPhysics",
-            "UsdSemantics",
-            "UsdShade",
-            "Vt",
-        ):
+        for module in _MODULES:
             import_library(f"pxr.{module}", "usd")
         self.stage = self.pxr.Usd.Stage.CreateInMemory()
 
@@ -125,10 +115,9 @@ class _Stage:
             bases |= dict.fromkeys(body.members, (path, body.pose))
         for part in organ_parts(contents.mesh, contents.nodes.names):
             plant = contents.mesh.instances[part.index].plant
-            on_plant = plant in contents.nodes.plants
-            default = (
-                (f"{_PLANTS}{plant}", contents.nodes.plants[plant]) if on_plant else (_OBJECTS, np.eye(4))
-            )
+            default = _OBJECTS, np.eye(4)
+            if plant in contents.nodes.plants:
+                default = f"{_PLANTS}{plant}", contents.nodes.plants[plant]
             self._organ(part, *bases.get(part.index, default))
         for body in contents.bodies:
             self._joint(body)
@@ -144,9 +133,8 @@ class _Stage:
 
     def _place(self, prim: Any, pose: Pose) -> None:
         """Give a prim a pose in the axes of its parent."""
-        rotation, gf = self._quaternion(pose), self.pxr.Gf
-        prim.AddTranslateOp().Set(gf.Vec3d(*map(float, pose[:3, 3])))
-        prim.AddOrientOp(self.pxr.UsdGeom.XformOp.PrecisionDouble).Set(rotation)
+        prim.AddTranslateOp().Set(self.pxr.Gf.Vec3d(*map(float, pose[:3, 3])))
+        prim.AddOrientOp(self.pxr.UsdGeom.XformOp.PrecisionDouble).Set(self._quaternion(pose))
 
     def _quaternion(self, pose: Pose) -> Any:
         matrix = self.pxr.Gf.Matrix3d(*map(float, pose[:3, :3].T.ravel()))
@@ -223,14 +211,12 @@ class _Stage:
         mesh.CreateDoubleSidedAttr(True)
         prim = mesh.GetPrim()
         self._look(mesh, part)
-        self._label(prim, {"class": entry["class"], "kind": entry["kind"], "instance": self._number(entry)})
+        labels = {"class": entry["class"], "kind": entry["kind"]}
+        # Joined organs of coarse plants have no number of their own.
+        self._label(prim, labels | ({"instance": str(entry["instance"])} if "instance" in entry else {}))
         for name, value in {**entry, "surface": part.surface}.items():
             self._set(prim, name, value)
         self._collide(prim, part)
-
-    @staticmethod
-    def _number(entry: Mapping[str, Any]) -> str:
-        return str(entry.get("instance", "none"))
 
     def _vectors(self, points: NDArray[np.floating[Any]]) -> Any:
         return self.pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, np.float32))
@@ -284,12 +270,9 @@ class _Stage:
             linear = srgb_decode(np.array(CLASS_COLOURS[organ_class]) / 255.0)
             colour.Set(pxr.Gf.Vec3f(*map(float, linear)))
             return material
-        kind = (
-            ("UsdPrimvarReader_float2", types.Float2) if file else ("UsdPrimvarReader_float3", types.Float3)
-        )
-        reader = self._shader(f"{path}/{primvar}", kind[0])
+        reader = self._shader(f"{path}/{primvar}", f"UsdPrimvarReader_float{2 if file else 3}")
         reader.CreateInput("varname", types.String).Set(primvar)
-        result = reader.CreateOutput("result", kind[1])
+        result = reader.CreateOutput("result", types.Float2 if file else types.Float3)
         if file:
             texture = self._shader(f"{path}/image", "UsdUVTexture")
             texture.CreateInput("file", types.Asset).Set(f"./{file}")
@@ -328,14 +311,14 @@ class _Stage:
         sun.AddOrientOp(pxr.UsdGeom.XformOp.PrecisionDouble).Set(turn)
 
     def _shine(self, light: Any, spectrum: Spectrum, factor: float) -> None:
-        """Colour and intensity of a light."""
+        """Intensity of a light, and its colour of luminance 1."""
         from pepperscene.spectra import illuminance
 
-        lux = float(illuminance(spectrum))
         nm = np.arange(380.0, 781.0, 5.0)
         linear = np.maximum(linear_colours(spectrum.at(nm)[None], nm, np.ones(len(nm)))[0], 0.0)
-        light.CreateIntensityAttr(lux * factor)
-        light.CreateColorAttr(self.pxr.Gf.Vec3f(*map(float, linear / max(linear.max(), 1e-12))))
+        light.CreateIntensityAttr(float(illuminance(spectrum)) * factor)
+        colour = linear / max(float(linear @ _LUMINANCE), 1e-12)
+        light.CreateColorAttr(self.pxr.Gf.Vec3f(*map(float, colour)))
 
     def _camera(self, camera: Camera) -> None:
         """The camera of the frame as a pinhole; its JSON has the distortion."""
