@@ -434,3 +434,37 @@ def test_glb_has_its_images_inside(glb):
         first = start + view.get("byteOffset", 0)
         with Image.open(BytesIO(content[first : first + view["byteLength"]])) as picture:
             assert picture.format == "PNG"
+
+
+@pytest.mark.long
+def test_all_fruit_of_a_row_are_found_by_name_and_number(tmp_path, rows):
+    """196 fruit of 13 plants, one by one, and rays of the frame's own camera."""
+    recipe = ps.load_recipe("barth2018", {"camera.width": 320, "camera.height": 240})
+    with rows_from(rows):
+        frames = FrameRenderer(recipe, culled=False)
+        spec = recipe.plan.frame(FRAME)
+        frame, scene = frames.render(spec, ["depth_z"]), frames.current_scene
+        path, _ = ps.export_scene(recipe, tmp_path / "row.glb", FRAME)
+    nodes = glb_nodes(path)
+    names = {node.extras["instance"]: name for name, node in nodes.items() if "ripeness" in node.extras}
+    fruit = scene.skeleton.of_form("fruit")
+    assert sorted(names) == [index + 1 for index in fruit]
+    assert len(fruit) > 100
+    for index in fruit:
+        node, organ = nodes[names[index + 1]], scene.skeleton.organ(index)
+        item = scene.mesh.instances[index]
+        assert names[index + 1].startswith(f"plant_{item.plant}_fruit_")
+        assert names[index + 1].endswith(f"_node_{item.phytomer}")
+        np.testing.assert_allclose(node.pose[:3, 3], organ.curve[0], atol=1e-5)
+        assert node.extras["ripeness"] == pytest.approx(organ.measures["ripeness"], abs=1e-6)
+        cut = np.array(node.extras["cut_point_m"])
+        stalk = scene.skeleton.organ(node.extras["stalk"] - 1)
+        # On the curve of the stalk, which is straight between its points to a few millimetres.
+        steps = np.linspace(stalk.curve[:-1], stalk.curve[1:], 50).reshape(-1, 3)
+        assert np.linalg.norm(steps - cut, axis=1).min() < 5e-3
+    depth, camera = frame["depth_z"], frames.camera(spec, traced=False)
+    hit = np.argwhere(np.isfinite(depth) & (depth > 0))
+    pixels = hit[np.random.default_rng(3).choice(len(hit), RAYS, replace=False)]
+    directions = camera.pixel_directions()[pixels[:, 0], pixels[:, 1]]
+    found = cast_rays(nodes, camera.pose, directions[:, :2] / directions[:, 2:])
+    np.testing.assert_allclose(found, depth[pixels[:, 0], pixels[:, 1]], atol=1e-3)
