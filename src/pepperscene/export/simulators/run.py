@@ -66,7 +66,7 @@ def export_scene(
     if suffix not in SUFFIXES:
         raise InputError(path, f"must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     if suffix.startswith(".usd"):
-        import_library("pxr", "usd")
+        import_library("pxr.UsdSemantics", "usd")
     check_can_write(path.parent, [] if suffix == ".sdf" else [path.name, path.with_suffix(".json").name])
     with report_memory_errors():
         contents = _contents(scene, frame, camera, allow_code, stage)

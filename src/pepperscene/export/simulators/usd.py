@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from pepperscene.scene import Sky
     from pepperscene.spectra import Spectrum
 
-_MODULES: Final = (
-    "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdPhysics", "UsdSemantics", "UsdShade", "Vt",
-)  # fmt: skip
 _ROOT: Final = "/World"
 _PLANTS: Final = f"{_ROOT}/plant_"
 _OBJECTS: Final = f"{_ROOT}/objects"
@@ -92,8 +89,9 @@ class _Stage:
 
     def __post_init__(self) -> None:
         self.pxr = import_library("pxr", "usd")
-        for module in _MODULES:
-            import_library(f"pxr.{module}", "usd")
+        # Modules are attributes of the package once they are imported.
+        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdSemantics, UsdShade, Vt  # noqa: F401
+
         self.stage = self.pxr.Usd.Stage.CreateInMemory()
 
     def write(self) -> None:
