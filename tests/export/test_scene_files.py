@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import sys
 from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
@@ -18,7 +19,7 @@ from scene_files import cast_rays, glb_json, glb_nodes, usd_nodes
 import pepperscene as ps
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera.image.colorimetry import srgb_decode
-from pepperscene.errors import ArgumentError, InputError, OutputError
+from pepperscene.errors import ArgumentError, InputError, OutputError, SetupError
 from pepperscene.export.simulators.contents import scene_contents
 from pepperscene.scene import assemble_scene
 
@@ -422,6 +423,13 @@ def test_invalid_arguments_write_nothing(small, tmp_path):
     with pytest.raises(OutputError, match="choose an empty or a new folder"):
         ps.export_scene(small.scene, tmp_path / "row.sdf")
     assert [path.name for path in (tmp_path / "row").iterdir()] == ["mine.txt"]
+
+
+def test_usd_needs_its_library(small, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr.UsdSemantics", None)
+    with pytest.raises(SetupError, match=r"needs pxr, .* pip install 'pepperscene\[usd\]'"):
+        ps.export_scene(small.scene, tmp_path / "row.usd")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_glb_has_its_images_inside(glb):
