@@ -427,7 +427,7 @@ def test_invalid_arguments_write_nothing(small, tmp_path):
 
 def test_usd_needs_its_library(small, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr.UsdSemantics", None)
-    with pytest.raises(SetupError, match=r"needs pxr, .* pip install 'pepperscene\[usd\]'"):
+    with pytest.raises(SetupError, match=r"needs pxr, .*pip install 'pepperscene\[usd\]'"):
         ps.export_scene(small.scene, tmp_path / "row.usd")
     assert list(tmp_path.iterdir()) == []
 
