@@ -560,6 +560,25 @@ def export() -> Image.Image:
     return fill(np.asarray(image))
 
 
+def simulators() -> Image.Image:
+    """A row, its fruit and their cut points."""
+    recipe = ps.load_recipe("barth2018", {"row.plants_front": 2, "row.plants_back": 0})
+    ps.export_scene(recipe, CACHE / "scene" / "row.glb", 0)
+    content = json.loads((CACHE / "scene" / "row.json").read_text(encoding="utf-8"))
+    scene = ps.FrameRenderer(recipe, culled=False).scene(recipe.plan.frame(0), traced=False)
+    figure, _ = canvas()
+    row_axes = figure.add_axes((0, 0, 1, 1))
+    draw_mesh(row_axes, scene.mesh, 0.0, {"lamina": "#cfdcc9", "shoot_lamina": "#cfdcc9"})
+    for organ in content["organs"]:
+        if organ.get("cut_point_m"):
+            x, _, z = organ["cut_point_m"]
+            dx, _, dz = (0.06 * value for value in organ["approach"])
+            row_axes.plot(x, z, "o", color=RED, ms=3)
+            arrow(row_axes, (x - dx, z - dz), (x, z), BLUE)
+    row_axes.set(xlim=(-0.5, 0.3), ylim=(0.75, 1.283))
+    return drawn(figure)
+
+
 def learning() -> Image.Image:
     """IoU on photographs of the experiments B, C and E with intervals: out/experiments/experiments.json."""
     content = json.loads((ROOT / "out" / "experiments" / "experiments.json").read_bytes())
@@ -1189,7 +1208,7 @@ PHOTOGRAPHS: Final = (
 DRAWINGS: Final = (
     tables, colour_tuning, views, cluster, report, compare, benchmark, troubleshooting, command_line, recipe,
     devices, patches, tuning_parameters, tuning_files, pose_files, conventions, api, glossary,
-    architecture, reliability, optics, colour, learning,
+    architecture, reliability, optics, colour, learning, simulators,
 )  # fmt: skip
 FIGURES: Final[dict[str, Callable[[], Image.Image]]] = {
     one.__name__: one for one in (*PHOTOGRAPHS, *DRAWINGS)

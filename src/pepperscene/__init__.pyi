@@ -50,6 +50,7 @@ from .errors import OutputError as OutputError
 from .errors import PepperError as PepperError
 from .errors import SetupError as SetupError
 from .export import export_dataset as export_dataset
+from .export import export_scene as export_scene
 from .frame import Frame as Frame
 from .geometry import ContactCounts as ContactCounts
 from .geometry import Mesh as Mesh

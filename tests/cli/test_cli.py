@@ -145,6 +145,9 @@ def test_render_prints_the_written_files(command, tmp_path):
         (("plant", "kaite", "--out", "a.glb", "--seed", "-1"), "--seed"),
         (("plant", "kaite", "--out", "a.glb", "--detail", "nan"), "--detail"),
         (("plant", "kaite", "--out", "a.glb", "--share", "0.5"), "--share: needs `until`"),
+        (("scene", "--out", "a.obj"), "must end in .glb, .usd, .usda, .usdc or .sdf"),
+        (("scene", "--out", "a.glb", "--frame", "10500"), "--frame"),
+        (("scene", "nothing", "--out", "a.glb"), "barth2018, barth2018_robot, demo"),
     ],
 )
 def test_errors_are_one_line_and_exit_code_2(rejects, tmp_path, monkeypatch, arguments, message):

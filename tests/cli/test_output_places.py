@@ -34,6 +34,8 @@ COMMANDS = {
     "poses": (*DRY, "--poses", "{}/poses.csv"),
     "plant": ("plant", "kaite", "--out", "{}/plant.glb"),
     "render": ("render", "demo", "--out", "{}"),
+    "scene": ("scene", "demo", "--out", "{}/scene.glb"),
+    "model": ("scene", "demo", "--out", "{}/scene.sdf"),
     "bench": ("bench", "--out", "{}/bench"),
 }
 

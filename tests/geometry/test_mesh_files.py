@@ -12,7 +12,8 @@ from pepperscene.classes import CLASS_COLOURS, Instance, OrganClass
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.geometry import concatenate_meshes, mesh_plant, rectangle, sphere
-from pepperscene.geometry.export import FORMATS, mesh_files, organ_names, write_mesh
+from pepperscene.geometry.export import FORMATS, mesh_files, write_mesh
+from pepperscene.geometry.organ_parts import organ_names
 from pepperscene.grammar import grow
 
 LEAF_COLOURS = {"leaf": np.array([[0.2, 0.3, 0.1], [0.02, 0.05, 0.01]])}
@@ -183,23 +184,36 @@ def base_colours(content):
 
 @pytest.fixture(scope="module")
 def natural(tomato):
-    """Colours of a mesh of two plants, one of them without some organs, and twine."""
+    """A file of a mesh of two plants, one of them without some organs, and twine."""
     band = rectangle((0.0, 0.0, 0.5), (0.01, 0.0, 0.0), (0.0, 0.0, 1.0), "twine", OrganClass.WIRE)
     leaves = np.flatnonzero(tomato.instance_class == OrganClass.LEAF)
     part = tomato.moved(np.eye(3), np.ones(3)).with_plant(3).without_triangles(leaves[-1:])
     fruit = tomato.select_instances(np.flatnonzero(tomato.instance_class == OrganClass.PEPPER))
-    return base_colours(mesh_files(concatenate_meshes([tomato, part, fruit, band]), "a.glb")["a.glb"])
+    content = mesh_files(concatenate_meshes([tomato, part, fruit, band]), "a.glb")["a.glb"]
+    return trimesh.load_scene(trimesh.util.wrap_as_stream(content), file_type="glb")
+
+
+def organ_colours(scene, surface):
+    """`(n, 3)` mean sRGB codes at the vertices of each organ of a surface, and its state."""
+    colours, states = [], []
+    for name in scene.graph.nodes_geometry:
+        extras = scene.graph.transforms.edge_data[(scene.graph.transforms.parents[name], name)]["metadata"]
+        if extras["surface"] == surface:
+            colours.append(scene.geometry[name].visual.to_color().vertex_colors[:, :3].mean(axis=0))
+            states.append(extras["state"])
+    return np.array(colours), np.array(states)
 
 
 def test_grown_plants_have_their_natural_colours(natural):
     for surface in ("leaf", "stem"):
-        found = [rgb for name, rgb in natural.items() if name.startswith(f"{surface}_")]
-        assert found
-        assert all(rgb.argmin() == 2 for rgb in found), "leaves are not blue, nor stems pink"
-    ripest = max((name for name in natural if name.startswith("fruit_")), key=lambda name: int(name[6:]))
-    assert natural[ripest][0] > 2 * natural[ripest][1], "ripe fruit is red"
-    twine = next(rgb for name, rgb in natural.items() if name.startswith("twine_"))
-    assert twine.min() > 0.3, "twine is white"
+        found, _ = organ_colours(natural, surface)
+        assert len(found)
+        assert np.all(found.argmin(axis=1) == 2), "leaves are not blue, nor stems pink"
+    found, state = organ_colours(natural, "fruit")
+    ripest, greenest = found[state.argmax()], found[state.argmin()]
+    assert ripest[0] > 1.5 * ripest[1], "ripe fruit is red"
+    assert greenest[1] > greenest[0], "unripe fruit is green"
+    assert organ_colours(natural, "twine")[0].min() > 140, "twine is white"
 
 
 def test_class_colours_are_given_on_request(tomato):

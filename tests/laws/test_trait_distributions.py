@@ -13,8 +13,8 @@ from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import grow
 from pepperscene.materials import organ_surfaces
+from pepperscene.materials.tissue import tissue_states
 from pepperscene.render import Renderer
-from pepperscene.render.aov.traits import tissue_states
 from pepperscene.scene import assemble_scene
 
 PLANTS = 100

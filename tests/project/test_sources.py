@@ -150,6 +150,7 @@ EXCEPTIONS = {
         "learning/models/efficientnet.py",
         "torch.load(file, map_location='cpu', weights_only=True)",
     ): "of an installed package",
+    ("export/simulators/usd.py", "path.read_bytes()"): "its own temporary file",
     ("notebook_view.py", "Image.open(picture, formats=('PNG',))"): "opened by the caller",
 }
 
@@ -266,6 +267,7 @@ RECORDS = {
     "building/scenes/row_cache.py",  # names of files
     "building/execution/dask_worker.py",  # workers have the version of the build
     "building/execution/job.py",  # dataset.json
+    "export/simulators/contents.py",  # JSON of a scene
     "export/bop.py",  # plants are grown again only by the version that grew them
     "review/report/scene_view.py",  # as in bop
     "building/viewpoints/table.py",  # metadata of a table

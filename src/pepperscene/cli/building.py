@@ -12,6 +12,7 @@ import typer
 from pepperscene.building.execution.options import BuildOptions
 from pepperscene.cli.application import (
     DEFAULTS,
+    CodeOption,
     OutputsOption,
     QualityOption,
     RecipeArgument,
@@ -171,6 +172,34 @@ def render(
     resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=options.allow_code)
     with render_status() as on_stage:
         paths = render_frame(resolved, out, frame, names, options, on_stage)
+    for path in paths:
+        typer.echo(path)
+
+
+@command
+def scene(
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(help="File of the scene; its suffix sets the format: .glb, .usd, .usda, .usdc or .sdf."),
+    ],
+    recipe: RecipeArgument = "demo",
+    frame: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Index of the frame, counted from 0. Default: the first selected."),
+    ] = None,
+    seed: SeedOption = None,
+    set: SetOption = None,
+    allow_code: CodeOption = False,
+) -> None:
+    """Export the scene of a frame for simulators and other programs, with the poses of all organs."""
+    from pepperscene.cli.progress import render_status
+    from pepperscene.export import export_scene
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
+
+    resolved = resolve_recipe(recipe, parse_changes(set or ()), seed, allow_code=allow_code)
+    with render_status() as on_stage:
+        paths = export_scene(resolved, out, frame, on_stage=on_stage)
     for path in paths:
         typer.echo(path)
 

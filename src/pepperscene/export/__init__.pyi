@@ -5,3 +5,4 @@ from .run import Splits as Splits
 from .run import export_dataset as export_dataset
 from .run import read_splits as read_splits
 from .run import split_by_sets as split_by_sets
+from .simulators.run import export_scene as export_scene

@@ -237,11 +237,12 @@ def _is_shipped_recipe(name: str, info: Mapping[str, Any]) -> bool:
 
 
 @contextmanager
-def new_folder(out: Path, source: Path) -> Iterator[Path]:
+def new_folder(out: Path, source: Path | None) -> Iterator[Path]:
     """A temporary folder that becomes `out` if the block succeeds, and is removed if it fails.
 
     It is next to `out`. If `out` exists already (and is empty), it is inside, and its content moves up: a
     mounted folder can be filled but not replaced. All content is on the disk before the folder has its name.
+    It must not be inside the `source`.
     """
     created: list[Path] = []
     try:
@@ -270,9 +271,9 @@ def new_folder(out: Path, source: Path) -> Iterator[Path]:
         raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from None
 
 
-def _check_out(out: Path, source: Path) -> None:
+def _check_out(out: Path, source: Path | None) -> None:
     check_can_create(out)
-    if out.resolve().is_relative_to(source.resolve()):
+    if source is not None and out.resolve().is_relative_to(source.resolve()):
         raise OutputError(f"{out}: is inside the data set {source}; choose another folder")
     content: list[str] = []
     if out.is_dir():

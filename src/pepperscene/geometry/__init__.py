@@ -3,8 +3,9 @@
 from pepperscene.geometry.contacts.detect import ContactCounts
 from pepperscene.geometry.contacts.joints import JointRotation, move_plant
 from pepperscene.geometry.contacts.resolve import ResolvedMesh, resolve_contacts
-from pepperscene.geometry.export import check_mesh_format, mesh_files, organ_names, write_mesh
+from pepperscene.geometry.export import check_mesh_format, mesh_files, write_mesh
 from pepperscene.geometry.mesh import Mesh, concatenate_meshes, single_instance_mesh
+from pepperscene.geometry.organ_parts import organ_names
 from pepperscene.geometry.plant_mesh import mesh_plant
 from pepperscene.geometry.primitives import rectangle, sphere
 from pepperscene.geometry.tubes.stem import stem_branches, stem_profile

@@ -13,18 +13,15 @@ background.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Camera
 from pepperscene.geometry.mesh import PIGMENTS
-from pepperscene.materials import Surface
-from pepperscene.materials.surface import AGEING_RANGE
+from pepperscene.materials.tissue import tissue_states
 from pepperscene.render.aov.labels import Hits, SurfacePoints, surface_points
 from pepperscene.render.kernel.scene import check_surfaces
-from pepperscene.render.surface.textures import choose_texture, texture_count
 from pepperscene.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -88,55 +85,3 @@ class SceneTraits:
             for name, amounts in surface.contents.items():
                 if name in images:
                     images[name][points.pixels[at]] = np.interp(mixed, surface.states, amounts)
-
-
-def tissue_states(
-    surface: Surface, state: FloatArray, uv: FloatArray, variant: NDArray[np.int64], ageing: FloatArray
-) -> FloatArray:
-    """`(n,)` pigment states of tissue, as `Optics.point` looks them up: with the pattern, and aged.
-
-    Args:
-        surface: of all points.
-        state: `(n,)` in [0, 1], of the vertices.
-        uv: `(n, 2)` surface coordinates.
-        variant: `(n,)` of the organs' appearance, which chooses the texture.
-        ageing: `(n,)` of the organs.
-    """
-    texels = _Texels.of(surface, uv, variant)
-    if surface.pattern is not None:
-        state = state + texels.bilinear(surface.pattern)
-    healthy = np.clip(state, 0.0, 1.0)
-    if surface.first_state == 0.0:
-        return healthy
-    aged = ageing
-    if surface.ageing_order is not None:
-        aged = (ageing - texels.bilinear(surface.ageing_order)) / AGEING_RANGE
-    return np.asarray(healthy - np.clip(aged, 0.0, 1.0) * (1.0 + healthy))
-
-
-@dataclass(frozen=True, eq=False)
-class _Texels:
-    """The four texels around each of n points, as `TextureTables.look_up` finds them."""
-
-    index: NDArray[np.int64]  # `(2, 2, n)` in a stack of textures: above and below, to the left and the right
-    across: FloatArray  # `(n,)` weight of those on the right
-    down: FloatArray  # `(n,)` weight of those below
-
-    @classmethod
-    def of(cls, surface: Surface, uv: FloatArray, variant: NDArray[np.int64]) -> _Texels:
-        """Find the texels at surface coordinates `(n, 2)` of organs with a variant `(n,)`."""
-        height, width = next((images.shape[1:] for images in surface.textures.values()), (1, 1))
-        texture, mirrored = choose_texture(texture_count(surface), variant)
-        x = np.where(mirrored, 1.0 - uv[:, 0], uv[:, 0]) * width - 0.5
-        y = uv[:, 1] * height - 0.5
-        left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-        # Textures are periodic in u.
-        columns = np.stack([left % width, (left + 1) % width])
-        rows = texture * height + np.clip([top, top + 1], 0, height - 1)
-        return cls(rows[:, None] * width + columns, x - left, y - top)
-
-    def bilinear(self, images: NDArray[np.float32]) -> FloatArray:
-        """`(n,)` values of a stack of textures `(t, h, w)`."""
-        left, right = np.moveaxis(np.take(images, self.index), 1, 0)
-        above, below = (1.0 - self.across) * left + self.across * right
-        return np.asarray((1.0 - self.down) * above + self.down * below)

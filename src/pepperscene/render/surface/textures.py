@@ -23,9 +23,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pepperscene.materials import Surface
+from pepperscene.materials.tissue import texture_count
 from pepperscene.render.arrays import device_array
 from pepperscene.render.variant import mitsuba_modules
 
@@ -183,20 +184,6 @@ def _nearest(u: Any, v: Any, columns: Any, rows: Any) -> Any:
     column = dr.clip(dr.floor(u * columns), 0.0, columns - 1.0)
     row = dr.clip(dr.floor(v * rows), 0.0, rows - 1.0)
     return mi.UInt32(row) * mi.UInt32(columns) + mi.UInt32(column)
-
-
-def texture_count(surface: Surface) -> int:
-    """Number of textures of a surface, at least 1."""
-    return max((len(images) for images in surface.textures.values()), default=1)
-
-
-def choose_texture(count: ArrayLike, variant: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Number of the texture of organs with a `variant`, out of `count`, and whether it is mirrored in u.
-
-    The variant modulo the count chooses the texture; in a stack of several, the next bit mirrors it.
-    """
-    t, v = np.asarray(count), np.asarray(variant)
-    return np.asarray(v % t), np.asarray((t > 1) & (v // t % 2 == 1))
 
 
 def _texture_shape(surface: Surface) -> tuple[int, int, int]:

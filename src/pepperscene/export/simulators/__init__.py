@@ -1,0 +1,1 @@
+"""Export of scenes to simulators and other programs for three-dimensional scenes."""
