@@ -101,6 +101,10 @@ class Appearance:
     variant: int = 0
 
 
+FAR_ROW: Final = "far_row"
+"""Kind of an instance that is all plants of a far row."""
+
+
 @dataclass(frozen=True)
 class Instance:
     """One organ or object with its own value in the instance image.

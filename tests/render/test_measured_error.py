@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from pepperscene.camera import Camera, Developing, load_lens, load_sensor
-from pepperscene.camera.image.electrons import electrons_per_light
+from pepperscene.camera.image.electrons import electrons_per_light, image_electrons
+from pepperscene.camera.optics.lens import StrayLight
 from pepperscene.render.transport.measured_error import measured_error
 
 SENSOR = replace(load_sensor("ueye_ui5250re"), columns=320, rows=240)
@@ -39,6 +41,22 @@ def test_it_is_the_error_of_the_image_whatever_noise_the_means_have(noise):
     # Of 3,072 values; with noise, the square has a standard error of 9 %.
     measured = measured_error(CAMERA, image.astype(np.float32), independent)
     assert measured == pytest.approx(0.02 * 0.5 * 255.0, rel=0.05 if noise == 0.0 else 0.2)
+
+
+@pytest.mark.parametrize("size", [0.0, 2.0], ids=["independent", "of neighbours"])
+def test_stray_light_averages_errors(size):
+    """Errors that neighbours share remain; the standard error of the ratio is about 3 %."""
+    lens = replace(CAMERA.lens, stray_light=StrayLight(scatter=0.6, scatter_width_m=4e-6))
+    camera = replace(CAMERA, lens=lens, developing=replace(CAMERA.developing, stray_light=True))
+    error = np.random.default_rng(6).normal(0.0, 0.1, (camera.height, camera.width, 3))
+    light = of_fraction(0.5) * np.array(
+        [np.ones(error.shape), 1.0 + gaussian_filter(error, (size, size, 0.0))]
+    )
+    even, image = light.astype(np.float32)
+    measured = measured_error(camera, image, lambda pixels, _: even.reshape(-1, 3)[pixels])
+    electrons = [image_electrons(part.copy(), camera) for part in (even, image)]
+    difference = 0.5 * 255.0 * (electrons[1] / electrons[0] - 1.0)
+    assert measured == pytest.approx(np.sqrt(np.mean(np.square(difference))), rel=0.1)
 
 
 def test_means_that_are_too_noisy_tell_nothing():

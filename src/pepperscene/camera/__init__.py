@@ -27,6 +27,7 @@ from pepperscene.camera.image.electrons import (
     electrons_per_light,
     expected_electrons,
     image_electrons,
+    near_point_spread,
     relative_illumination,
     stray_light_factor,
 )
@@ -97,6 +98,7 @@ __all__ = [
     "match_depth",
     "measured_electrons",
     "metering_camera",
+    "near_point_spread",
     "pedestal",
     "protocol_poses",
     "raw_frame",

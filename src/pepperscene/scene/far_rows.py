@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import Instance, OrganClass
+from pepperscene.classes import FAR_ROW, Instance, OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.scene.greenhouse import FarRowsAs, Greenhouse, RowLine, as_single_instance, row_lines
 from pepperscene.scene.lod import cluster_vertices
@@ -257,7 +257,7 @@ def _full_row(row: FarRow, full: Mapping[int, Mesh], labelled_as: FarRowsAs) -> 
 def _one_instance(mesh: Mesh, row: int, labelled_as: FarRowsAs) -> Mesh:
     """The plants of a row as a single instance, full if all of them are."""
     full = all(item.full for item in mesh.instances)
-    mesh = as_single_instance(mesh, "far_row")
+    mesh = as_single_instance(mesh, FAR_ROW)
     (instance,) = mesh.instances
     if labelled_as == FarRowsAs.IGNORE:
         instance = replace(instance, far_row=row, ignored=True)
@@ -268,7 +268,7 @@ def _unlabelled_row(models: Sequence[Mesh], row: _Plants | None, labelled_as: Fa
     """Coarse plants of a row as a single instance."""
     if row is None:
         return None
-    mesh = _row_mesh([as_single_instance(model, "far_row") for model in models], row)
+    mesh = _row_mesh([as_single_instance(model, FAR_ROW) for model in models], row)
     return _one_instance(mesh, row.number, labelled_as)
 
 

@@ -127,6 +127,22 @@ def stray_light_factor(camera: Camera) -> float:
     return math.sqrt(np.vdot(transfer, transfer) / transfer.size)
 
 
+def near_point_spread(camera: Camera, reach: int) -> NDArray[np.floating]:
+    """`(2 reach + 1, 2 reach + 1)` fraction of a pixel's light that stray light brings to those around it.
+
+    All of it stays where it is if stray light is switched off.
+    """
+    if not camera.developing.stray_light:
+        return np.pad(np.ones((1, 1)), reach)
+    lens, sensor = camera.lens, camera.sensor
+    wavelength_m = _mean_wavelength_m(sensor)
+    quarter = point_spread(
+        lens.stray_light, lens.f_number, sensor.pixel_pitch_m, wavelength_m, (reach, reach)
+    )
+    distance = np.abs(np.arange(-reach, reach + 1))
+    return quarter[distance[:, None], distance]
+
+
 def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
     """`(h, w, c)` expected electrons with the lens' stray light, which `developing.stray_light` switches on.
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.classes import FAR_ROW
 from pepperscene.geometry import Mesh
 from pepperscene.render.arrays import device_array
 from pepperscene.render.variant import mitsuba_modules
@@ -63,8 +64,11 @@ def surface_cells(mesh: Mesh) -> SurfaceCells:
     # Compiled by Numba, which takes a second to import.
     from pepperscene.render.kernel.cell_numbers import cube_numbers, face_cells
 
+    # Light does not depend on labels: whatever far rows are in these, their plants are one organ here.
+    organ_of = np.arange(len(mesh.instances), dtype=np.uint32)
+    organ_of[[item.far_row >= 0 or item.kind == FAR_ROW for item in mesh.instances]] = len(mesh.instances)
     entries, cells, points, organs = face_cells(
-        mesh.vertices, mesh.faces, mesh.face_instance, CELL_M, DIVISION_BITS
+        mesh.vertices, mesh.faces, organ_of[mesh.face_instance], CELL_M, DIVISION_BITS
     )
     if cells >= 1 << DIVISION_BITS:
         raise ValueError(f"the scene is too large: its surfaces have {cells} cells of {CELL_M:g} m")

@@ -264,18 +264,24 @@ class SamplingError:
 
 
 def sampling_metadata(
-    parts: Sequence[SamplingError], target: float | None, measured: float | None = None
+    parts: Sequence[SamplingError],
+    target: float | None,
+    stray_light: float = 1.0,
+    measured: float | None = None,
 ) -> dict[str, Any]:
     """Describe the samples of an image and their error for its JSON file, from those of its parts.
 
-    `measured` is the error of the whole image, where it was measured, in codes.
+    Args:
+        parts: of the image.
+        target: error over noise, or None.
+        stray_light: what the camera's stray light leaves of the error; see `stray_light_factor`.
+        measured: the error of the whole image, where it was measured, in codes.
     """
     rms_error, rms_noise = (
         float(np.sqrt(np.float32(_mean_over_pixels(parts, name))))
         for name in ("squared_error", "squared_noise")
     )
-    if measured is not None:
-        rms_error = measured
+    rms_error = rms_error * stray_light if measured is None else measured
     # Both are 0 in an overexposed image.
     ratio = rms_error / rms_noise if rms_noise > 0.0 else 0.0
     return {

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera
+from pepperscene.camera import Camera, stray_light_factor
 from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.render.quality import Quality
 from pepperscene.render.transport.accumulate import GuidedLight, TracedLight
@@ -132,7 +132,8 @@ def trace_in_strips(
     if len(strips) > 1:
         # What the device keeps for later would add to the memory of developing the image.
         mitsuba_modules()[1].flush_malloc_cache()
-    return signal, sampling_metadata(errors, quality.target, measured)
+    factor = stray_light_factor(camera)
+    return signal, sampling_metadata(errors, quality.target, factor, measured)
 
 
 def _independent(parts: Sequence[LightPart], samples: int, pixels: NDArray[np.int64], number: int) -> Image:
