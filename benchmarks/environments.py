@@ -15,8 +15,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import pepperscene.environments  # registers them
+import pepperscene.environments
 from pepperscene.recipe.resolve.load import parse_changes
+
+gymnasium.register_envs(pepperscene.environments)
 
 Policy = Callable[[Any, np.random.Generator], Any]
 

@@ -209,7 +209,7 @@ def test_a_tool_touches_what_is_at_its_place_except_leaves_and_the_stalk():
             assert env._touches(env._tip, env._turn) == ((number,) if touches else ())
             env.scene.remove(number)
     kinds = {one.instance: one.kind for one in env.scene.organs}
-    assert {kinds[number] for number in env._leaves} == {"lamina"}
+    assert {kinds[number] for number in env._leaves} == {"lamina", "shoot_lamina"}
     # A tool in the stalk touches no stalk.
     assert env._target.stalk not in env._touches(env._cut, env._turn)
 

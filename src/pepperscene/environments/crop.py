@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -16,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.live import LiveScene, SceneFruit, open_scene
+from pepperscene.recipe.recipe import digest
 from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
@@ -29,9 +29,9 @@ _IMAGE: Final = {"camera.width": 64, "camera.height": 48}  # chosen: a fruit at 
 
 @dataclass(frozen=True)
 class SceneKey:
-    """A scene: all that decides the scenes of a recipe as text, the scene's number, and the recipe."""
+    """A scene: the digest of all that decides the scenes of a recipe, its number, and the recipe."""
 
-    identity: str
+    digest: str
     number: int
     recipe: ResolvedRecipe = field(compare=False)
 
@@ -70,7 +70,7 @@ class CropEnv(gymnasium.Env[Observation, Any]):
         ripeness: float = 0.5,
     ) -> None:
         self._recipe = resolve_recipe(recipe, {**_IMAGE, **(changes or {})})
-        self._identity = json.dumps(dict(self._recipe.identity), sort_keys=True, default=str)
+        self._digest = digest(dict(self._recipe.identity))
         plan = self._recipe.recipe.plan
         self._scenes = whole_number("scenes", scenes, 1, plan.sets * plan.rotations)
         if not 0.0 <= ripeness <= 1.0:
@@ -89,7 +89,7 @@ class CropEnv(gymnasium.Env[Observation, Any]):
         if options:
             raise ArgumentError("options", "must be empty", value=options)
         super().reset(seed=seed)
-        self._key = SceneKey(self._identity, int(self.np_random.integers(self._scenes)), self._recipe)
+        self._key = SceneKey(self._digest, int(self.np_random.integers(self._scenes)), self._recipe)
         scene, fruit = grown_scene(self._key)
         # Views grow plants of far rows in full, which other episodes are not to see.
         self.scene = scene.copy()
