@@ -28,7 +28,8 @@ _START_M: Final = (0.25, 0.4)  # distance of the start from the cut, in front of
 _START_RAD: Final = 0.3  # of the start to the approach, and of the tool to the start
 _FACING: Final = 0.5  # the approach is at most 60 degrees from the aisle's normal
 _TRIES: Final = 200  # starts that are drawn for one that touches nothing
-_TOUCHED: Final = 0.1  # ten touches cost what the whole way gives
+_TOUCHED: Final = 0.05  # the touches that end an episode cost half of what the whole way gives
+_MOST_TOUCHES: Final = 10
 _ANGLE_M: Final = 0.05  # a radian counts as much as 5 cm
 _CAMERA_M: Final = np.array([0.0, 0.05, 0.25])  # the tip from the camera on the tool: right, down, forward
 
@@ -37,12 +38,12 @@ class Reach(crop.CropEnv):
     """Bring the tip of a tool, a capsule, to the cut point of a ripe fruit, along its approach.
 
     Action: five numbers from -1 to 1: the motion to the right, down and forward in parts of 12 mm, yaw and
-    pitch in parts of 4 degrees. One that would touch something is not carried out and costs 0.1. Leaves give
+    pitch in parts of 4 degrees. One that would touch something is not carried out and costs 0.05. Leaves give
     way and do not count, nor does the stalk that is to be cut; everything else does.
 
     The reward is the progress, distance to the cut and 5 cm for each radian to the approach, as a part of the
     whole way, so that it adds up to 1. A successful end adds 1: the tip is within 20 mm of the cut, and the
-    tool within 20 degrees of the approach.
+    tool within 20 degrees of the approach. Ten touches end an episode, too.
 
     Observation: `state`, 17 numbers from -1 to 1: the cut relative to the tip, metres, the approach and the
     tangent of the stalk, all in the tool's axes (right, down, forward); the direction of the tool in the
@@ -92,9 +93,10 @@ class Reach(crop.CropEnv):
         if not self._touched:
             self._tip, self._turn = tip, turn
         observation, info = self._state()
-        is_there, is_late = info["is_there"], self._count >= self._steps
+        is_there, touches = info["is_there"], info["touches"]
         reward = (before - self._left()) / self._way - _TOUCHED * self._touched + is_there
-        return observation, float(reward), is_there, is_late and not is_there, info
+        is_over = is_there or touches >= _MOST_TOUCHES
+        return observation, float(reward), is_over, self._count >= self._steps and not is_over, info
 
     def straight_action(self) -> NDArray[np.float32]:
         """Straight to the cut point, turning to the approach on the way: a baseline."""
