@@ -23,7 +23,7 @@ from pepperscene.live.looks import Look, Looks
 from pepperscene.live.objects import SceneFruit, SceneList, SceneOrgan, organ_pose, scene_fruit, scene_organs
 from pepperscene.live.queries import nearest_surface, touched_instances
 from pepperscene.live.renderers import StateRenderers
-from pepperscene.live.state import SceneState, open_state
+from pepperscene.live.state import FarPlants, SceneState, open_state
 from pepperscene.materials import Surface, greenhouse_surfaces
 from pepperscene.outputs import check_outputs, needs_surfaces
 from pepperscene.recipe.plan import FrameSpec, frame_seed
@@ -106,6 +106,7 @@ class LiveScene:
         self._edited = False
         self.view_count = 0
         self._last: Look | None = None
+        self._coarse: tuple[FarPlants, CoarsePlants] | None = None
         self._renderers = StateRenderers(frames, spec, near)
         self._looks = Looks(frames, spec, self._renderers)
 
@@ -164,7 +165,7 @@ class LiveScene:
 
     def _render(self, look: Look, outputs: tuple[str, ...], quality: Quality) -> Frame:
         """Render one view."""
-        held, traced = None, needs_surfaces(outputs)
+        held, state, traced = None, self._state, needs_surfaces(outputs)
         if look.is_frame and not self._edited:
             # Light in a scene that is culled for the data set differs by less than can be seen, but differs.
             if traced or self._frames.views.depends_on_scene:
@@ -172,8 +173,8 @@ class LiveScene:
             else:
                 held = self._renderers.of(self._opened)
         if held is None:
-            self._grow_near_plants(look)
-            held = self._renderers.of(self._state, look.camera, traced=traced)
+            state = self._with_near_plants(look)
+            held = self._renderers.of(state, look.camera, traced=traced)
         if look.camera is None:
             frame = self._frames.render_view(
                 look.spec, held.assembled, held.renderer, outputs, quality, view=look.view, seed=look.seed
@@ -183,26 +184,27 @@ class LiveScene:
             frame = held.renderer.render(look.camera, outputs, quality, seed)
             frame = Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
         self.view_count += look.seed is not None
-        self._last = look
+        self._state, self._last = state, look
         return frame
 
-    def _grow_near_plants(self, look: Look) -> None:
-        """Grow the plants of far rows in full that a view shows from near."""
-        far, builder = self._near.built.far_rows, self._frames.builder(self._spec)
+    def _with_near_plants(self, look: Look) -> SceneState:
+        """The state with the plants of far rows in full that a view shows from near."""
+        far, builder, state = self._near.built.far_rows, self._frames.builder(self._spec), self._state
         if not far or look.is_frame:
-            return
+            return state
         if look.camera is None:
             seen = self._frames.views.near_views([look.spec], view=look.view)
         else:
             seen = near_views([look.camera])
-        plants = {number for row in far for number in row.plants.tolist()}
-        coarse = CoarsePlants(builder.far_models, far, plants - set(self._state.far.counts))
-        shown = coarse.shown_near(seen)
+        if self._coarse is None or self._coarse[0] is not state.far:
+            full = {number for row in far for number in row.plants.tolist()} - set(state.far.counts)
+            self._coarse = state.far, CoarsePlants(builder.far_models, far, full)
+        shown = self._coarse[1].shown_near(seen)
         for plant, (grown, turn, base) in builder.full_plants(self._near.built, shown).items():
             number = next(row.number for row in far if plant in row.plants)
             alone = FarRow(number, plant, np.zeros(1, np.intp), np.array([turn]), base[None])
-            labelled_as = builder.greenhouse.far_rows_as
-            self._state = self._state.with_full_plant(plant, grown, alone, labelled_as)
+            state = state.with_full_plant(plant, grown, alone, builder.greenhouse.far_rows_as)
+        return state
 
     # --- what is where ---
 

@@ -1,24 +1,29 @@
 """Grown plants and rows in a folder, so that the next process need not grow them again.
 
 A file is named by the digest of everything that its content depends on, the code included, and ends with its
-checksum. It appears complete or not at all, and any process may remove it. It holds a pickle, read with a
-fixed list of classes: a file can make numbers and organs, but runs no code.
+checksum. It appears complete or not at all, and any process may remove it. It holds JSON and arrays: nothing
+in it is run or imported by name.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
+import json
+import math
 import os
-import pickle
 import platform
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import fields
+from enum import IntEnum
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pepperscene.atomic import atomic_write, digest, remove_temporary_files
 from pepperscene.errors import PepperError
@@ -42,25 +47,6 @@ _GROWING: Final = (
 )  # fmt: skip
 """Code that rows depend on."""
 _LIBRARIES: Final = ("numpy", "scipy", "numba", "trimesh", "pydantic")
-_CLASSES: Final[Mapping[str, tuple[str, ...]]] = {
-    "pepperscene.building.scenes.plants": ("GrownPlant", "PlacedPlant"),
-    "pepperscene.building.scenes.scene_builder": ("BuiltScene",),
-    "pepperscene.classes": ("Appearance", "Instance", "OrganClass"),
-    "pepperscene.cultivar.organs": ("FruitScans", "OrganKind"),
-    "pepperscene.geometry.contacts.detect": ("ContactCounts",),
-    "pepperscene.geometry.contacts.joints": ("JointRotation",),
-    "pepperscene.geometry.mesh": ("Mesh",),
-    "pepperscene.grammar.plant": ("Organ", "Plant"),
-    "pepperscene.scene.far_rows": ("FarRow",),
-    "pepperscene.scene.greenhouse": ("Posture",),
-    "pepperscene.scene.placement": ("Skeleton",),
-    "pathlib": ("PosixPath", "WindowsPath"),
-    "pathlib._local": ("PosixPath", "WindowsPath"),
-    "numpy": ("dtype", "ndarray"),
-    "numpy._core.multiarray": ("_reconstruct", "scalar"),
-    "numpy._core.numeric": ("_frombuffer",),
-}
-"""What files may contain, by module."""
 
 
 def cache_folder() -> Path | None:
@@ -83,18 +69,20 @@ class RowCache:
     Args:
         cultivar: of the plants; files refer to it, and do not contain it.
         inputs: what else everything depends on.
+        classes: the dataclasses and enumerations that contents consist of.
     """
 
-    def __init__(self, cultivar: Cultivar, *inputs: object) -> None:
+    def __init__(self, cultivar: Cultivar, inputs: tuple[object, ...], classes: tuple[type, ...]) -> None:
         self._cultivar, self._inputs = cultivar, inputs
+        self._classes = {one.__name__: one for one in classes}
 
     def get(self, make: Callable[[], Content], *address: object) -> Content:
         """What `make` returns, from the folder if it is there, else made and stored."""
-        try:
+        path = None
+        # A scan that cannot be read fails where it is needed; and not every user has a home.
+        with suppress(PepperError, OSError, RuntimeError):
             folder = cache_folder()
             path = None if folder is None else folder / f"{self._key(address)}{_SUFFIX}"
-        except (PepperError, OSError, RuntimeError):
-            path = None  # a scan that cannot be read fails where it is needed; or there is no home
         if path is None:
             return make()
         # Whatever a damaged file raises, its content is made anew.
@@ -102,77 +90,97 @@ class RowCache:
             return cast(Content, self._read(path))
         content = make()
         # A full disk, or a folder of others, is no reason to stop.
-        with suppress(PepperError, OSError, pickle.PicklingError):
+        with suppress(PepperError, OSError, ValueError):
             self._write(path, content)
         return content
 
     def _key(self, address: tuple[object, ...]) -> str:
         """Digest of everything that a content depends on."""
         scans = {path for organ in self._cultivar.organs.values() for path in getattr(organ, "scan", ())}
-        parts = [_code_digest(), repr(self._cultivar), *map(repr, self._inputs), repr(address)]
+        parts = [_code_digest(), repr(self._cultivar), repr(self._inputs), repr(address)]
         parts += [digest(Path(path), "mesh") for path in sorted(scans)]
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
     def _read(self, path: Path) -> Any:
         with open_file(path, "cache") as file:
             content = memoryview(file.read())
-        if hashlib.blake2b(content[:-_CHECKSUM], digest_size=_CHECKSUM).digest() != content[-_CHECKSUM:]:
+        body = content[:-_CHECKSUM]
+        if hashlib.blake2b(body, digest_size=_CHECKSUM).digest() != content[-_CHECKSUM:]:
             raise ValueError("a damaged file")
-        loaded = _Reader(io.BytesIO(content[:-_CHECKSUM]), self._cultivar).load()
+        # The length of the JSON text, the text, and the arrays.
+        start = 8 + int.from_bytes(body[:8], "little")
+        loaded = _Decoder(body[start:], self._classes, self._cultivar).value(json.loads(bytes(body[8:start])))
         os.utime(path)  # what is used last goes last
         return loaded
 
     def _write(self, path: Path, content: object) -> None:
+        arrays: list[NDArray[Any]] = []
+        text = json.dumps(self._encoded(content, arrays), separators=(",", ":"), allow_nan=False).encode()
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         remove_temporary_files(path.parent)
+        checksum = hashlib.blake2b(digest_size=_CHECKSUM)
         with atomic_write(path) as temporary, temporary.open("wb") as file:
-            hashing = _HashingFile(file)
-            _Writer(cast(Any, hashing), self._cultivar).dump(content)
-            file.write(hashing.hash.digest())
+            for part in (len(text).to_bytes(8, "little"), text, *(array.tobytes() for array in arrays)):
+                checksum.update(part)
+                file.write(part)
+            file.write(checksum.digest())
         _remove_oldest(path.parent)
 
-
-class _HashingFile:
-    """A file that hashes what is written into it."""
-
-    def __init__(self, file: io.BufferedWriter) -> None:
-        self._file, self.hash = file, hashlib.blake2b(digest_size=_CHECKSUM)
-
-    def write(self, data: bytes) -> int:
-        self.hash.update(data)
-        return self._file.write(data)
-
-
-class _Writer(pickle.Pickler):
-    """Writes the cultivar as a reference."""
-
-    def __init__(self, file: Any, cultivar: Cultivar) -> None:
-        super().__init__(file, protocol=5)
-        self._cultivar = cultivar
-
-    def persistent_id(self, obj: Any) -> str | None:
-        return "cultivar" if obj is self._cultivar or _is_equal(obj, self._cultivar) else None
-
-
-class _Reader(pickle.Unpickler):
-    """Reads numbers, and the classes that a row consists of."""
-
-    def __init__(self, file: Any, cultivar: Cultivar) -> None:
-        super().__init__(file)
-        self._cultivar = cultivar
-
-    def persistent_load(self, pid: Any) -> Cultivar:
-        return self._cultivar
-
-    def find_class(self, module: str, name: str) -> Any:
-        if name not in _CLASSES.get(module, ()):
-            raise pickle.UnpicklingError(f"{module}.{name} is not part of a row")
-        return super().find_class(module, name)
+    def _encoded(self, value: Any, arrays: list[NDArray[Any]]) -> Any:
+        """A value for JSON: all but numbers and texts are lists with a kind; arrays are appended."""
+        if value is None or isinstance(value, bool | float | str) or type(value) is int:
+            return value
+        if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+            arrays.append(value)
+            return ["array", value.dtype.str, *value.shape]
+        if isinstance(value, np.generic):
+            return value.item()
+        if isinstance(value, tuple | list):
+            return [type(value).__name__, *(self._encoded(item, arrays) for item in value)]
+        if isinstance(value, Mapping):
+            return ["dict", *([key, self._encoded(item, arrays)] for key, item in value.items())]
+        if isinstance(value, Path):
+            return ["path", str(value)]
+        if type(value) is type(self._cultivar) and value == self._cultivar:
+            return ["cultivar"]
+        name = type(value).__name__
+        if self._classes.get(name) is not type(value):
+            raise ValueError(f"a row with a {name} cannot be stored")
+        if isinstance(value, IntEnum):
+            return [name, int(value)]
+        names = [field.name for field in fields(cast(Any, value))]
+        return [name, *(self._encoded(getattr(value, one), arrays) for one in names)]
 
 
-def _is_equal(value: object, cultivar: Cultivar) -> bool:
-    """Whether a value is an equal cultivar, of another process."""
-    return type(value) is type(cultivar) and value == cultivar
+class _Decoder:
+    """Makes values of what `RowCache` wrote; raises `KeyError` for other kinds."""
+
+    def __init__(self, data: memoryview, classes: Mapping[str, type], cultivar: Cultivar) -> None:
+        self._data, self._classes, self._cultivar = data, classes, cultivar
+        self._start = 0
+
+    def value(self, encoded: Any) -> Any:
+        """The value; arrays follow each other in the data in the same order."""
+        if not isinstance(encoded, list):
+            return encoded
+        kind, *rest = encoded
+        if kind == "array":
+            return self._array(np.dtype(rest[0]), tuple(rest[1:]))
+        if kind == "dict":
+            return {key: self.value(item) for key, item in rest}
+        if kind == "path":
+            return Path(rest[0])
+        if kind == "cultivar":
+            return self._cultivar
+        items = [self.value(item) for item in rest]
+        if kind in ("tuple", "list"):
+            return tuple(items) if kind == "tuple" else items
+        return self._classes[kind](*items)
+
+    def _array(self, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+        start, self._start = self._start, self._start + dtype.itemsize * math.prod(shape)
+        # A copy, which can be written to and does not hold the rest of the file.
+        return np.frombuffer(self._data[start : self._start], dtype).reshape(shape).copy()
 
 
 def _remove_oldest(folder: Path) -> None:
@@ -191,9 +199,6 @@ def _code_digest() -> str:
     """Digest of the code that grows rows, of the libraries' versions, and of the processor's kind."""
     package = Path(__file__).parents[2]
     sources = [path for name in _GROWING for path in [package / name, *(package / name).rglob("*.py")]]
-    found = hashlib.sha256("".join(map(version, _LIBRARIES)).encode())
-    found.update(f"{__version__} {platform.machine()} {sys.version_info}".encode())
-    for path in sorted(set(sources)):
-        if path.is_file():
-            found.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
-    return found.hexdigest()
+    parts = [__version__, platform.machine(), str(sys.version_info), *map(version, _LIBRARIES)]
+    parts += [digest(path, "text") for path in sorted(sources) if path.is_file()]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()

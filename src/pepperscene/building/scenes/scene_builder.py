@@ -87,7 +87,8 @@ class SceneBuilder:
         self.cultivar = cultivar
         self._processes = plant_processes(processes)
         self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
-        self._cache = RowCache(cultivar, recipe.seed, self.row, recipe.greenhouse, recipe.twine)
+        inputs = recipe.seed, self.row, recipe.greenhouse, recipe.twine
+        self._cache = RowCache(cultivar, inputs, _row_classes())
         self._set: tuple[int, list[PlacedPlant]] | None = None
         self._full_models: dict[int, GrownPlant] = {}
 
@@ -255,6 +256,20 @@ class SceneBuilder:
                 lambda: self._factory.full_far_plant(number), "full plant", number
             )
         return self._full_models[number]
+
+
+def _row_classes() -> tuple[type, ...]:
+    """What plants and rows consist of."""
+    from pepperscene.classes import Appearance, Instance, OrganClass
+    from pepperscene.cultivar.organs import FruitScans, OrganKind
+    from pepperscene.geometry import ContactCounts, JointRotation, Mesh
+    from pepperscene.grammar import Organ, Plant
+    from pepperscene.scene import FarRow, Posture
+    from pepperscene.scene.placement import Skeleton
+
+    of_plants = (FruitScans, OrganKind, Organ, Plant, GrownPlant, PlacedPlant, Posture)
+    of_meshes = (Appearance, Instance, OrganClass, JointRotation, Mesh, ContactCounts)
+    return (*of_plants, *of_meshes, FarRow, Skeleton, BuiltScene)
 
 
 def _first_part(mesh: Mesh, vertices: int, faces: int, instances: int) -> Mesh:
