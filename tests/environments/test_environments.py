@@ -170,9 +170,9 @@ def test_cameras_do_not_enter_organs():
 
 
 def test_straight_motions_come_nearer_than_random_ones():
-    env = make(REACH, image=False, steps=60)
+    env = make(REACH, image=False, steps=40)
     reached = {
-        name: [episode(env, seed, policy)[-1][-1]["distance_m"] for seed in range(6)]
+        name: [episode(env, seed, policy)[-1][-1]["distance_m"] for seed in range(4)]
         for name, policy in (("random", random_policy(1)), ("straight", env.straight_action))
     }
     assert np.mean(reached["straight"]) < np.mean(reached["random"])
@@ -180,7 +180,7 @@ def test_straight_motions_come_nearer_than_random_ones():
 
 def test_rewards_of_the_tool_add_up_to_its_progress():
     env = make(REACH, image=False, steps=60)
-    for seed in range(6):
+    for seed in range(4):
         steps = episode(env, seed, env.straight_action)
         info = steps[-1][-1]
         start, end = (one["distance_m"] + 0.05 * one["angle_rad"] for one in (steps[0][1], info))
