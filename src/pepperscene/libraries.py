@@ -14,5 +14,5 @@ def import_library(module: str, extra: str = "export") -> Any:
         return import_module(module)
     except ImportError:
         name = module.partition(".")[0]
-        problem = f"this format needs {name}, which is not installed"
+        problem = f"this needs {name}, which is not installed"
         raise SetupError(f"{problem}; install it with `pip install 'pepperscene[{extra}]'`") from None

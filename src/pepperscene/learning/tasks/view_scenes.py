@@ -162,16 +162,16 @@ def view_scenes(
         scene = frames.scene(spec, traced=False)
         camera = frames.setups.at(spec).camera
         reach = ReachTest(task.box, scene.mesh, task.clearance_m)
-        arc = _arc_poses(task, reach)
+        arc = arc_poses(task, reach)
         if not len(arc):
             raise InputError(recipe.recipe.name, f"has no reachable view on the arc in scene {spec.scene}")
         rng = random_generator(recipe.recipe.seed, Stream.VIEW, spec.scene, 2)
-        others = _random_views(task, reach, rng)
+        others = random_views(task, reach, rng)
         candidates = np.concatenate([arc, others])
         yield ViewScene(task, spec, scene, camera, candidates, tuple(range(len(arc))), recipe.recipe.seed)
 
 
-def _arc_poses(task: ViewTask, reach: ReachTest) -> FloatArray:
+def arc_poses(task: ViewTask, reach: ReachTest) -> FloatArray:
     """The reachable poses of an arc around the row's middle line, across the workspace's heights."""
     low, high = task.box.bounds_m
     distance = -0.5 * (low[1] + high[1])
@@ -185,7 +185,7 @@ def _arc_poses(task: ViewTask, reach: ReachTest) -> FloatArray:
     return poses[reach(poses[:, :3, 3])]
 
 
-def _random_views(task: ViewTask, reach: ReachTest, rng: np.random.Generator) -> FloatArray:
+def random_views(task: ViewTask, reach: ReachTest, rng: np.random.Generator) -> FloatArray:
     """`(n, 4, 4)` poses at random reachable positions, each facing a random point of the target box.
 
     They know nothing of fruit, as a planner must not.
