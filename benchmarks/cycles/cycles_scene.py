@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pepperscene.camera import Camera, Distortion, expected_electrons
 from pepperscene.materials import Surface
 from pepperscene.materials.gloss import cuticle_transmittance, interpolate_table
-from pepperscene.render.surface.textures import choose_texture
+from pepperscene.materials.tissue import choose_texture
 from pepperscene.scene import Scene, Sky
 
 Array = NDArray[np.float64]
