@@ -31,7 +31,7 @@ from pepperscene.render.reference.path_tracer import (
 from pepperscene.render.transport.adaptive import AdaptiveSampler
 from pepperscene.render.transport.denoise import denoised_indirect
 from pepperscene.render.transport.path_lengths import (
-    has_daylight_alone,
+    has_mainly_daylight,
     needs_long_paths,
     surface_triangles,
 )
@@ -96,7 +96,7 @@ class KernelScene:
         light_scene, sky = self.light_scene(float(grid[0]), float(grid[-1])), sky_tables(scene, grid)
         if response.by_band:
             quality = dataclasses.replace(quality, directions=0)  # bands are traced along paths
-        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
+        quality = quality.for_light(mainly_daylight=has_mainly_daylight(scene, response))
         together: list[ExposurePart | None] = [None]
         streams, still = sampling.spawn(len(parts)) if parts else [sampling], self.rays(camera)
         for part, stream in zip(parts or together, streams, strict=True):
@@ -140,7 +140,7 @@ class KernelScene:
             quality = dataclasses.replace(quality, most_bounces=0)
         # The light of imagers is traced along paths.
         quality = dataclasses.replace(quality, directions=0)
-        quality = quality.for_light(daylight_alone=has_daylight_alone(scene, response))
+        quality = quality.for_light(mainly_daylight=projector is None)
         adaptive = AdaptiveSampler(camera, quality.target, quality.most, denoised=quality.denoise)
         light_scene = self.imager_scene(float(response.grid_nm[0]), float(response.grid_nm[-1]))
         rays = self.rays(camera)

@@ -48,10 +48,10 @@ class Quality:
         integrator: "flash" for `pepperscene.render.transport.trace`, which traces daylight too; "path" for
             Mitsuba's own path tracer with `samples` in every pixel, the reference to compare with.
         sampler: for "path"; "flash" has its own.
-        soft_by_daylight: `soft` of frames by daylight alone, if it is greater, but not above `most`: there,
-            with few samples, the denoiser takes the relief of leaves for noise.
-        directions: by daylight alone, rays from the first hit of each sample of indirect light, which end at
-            their second hits: see `transport.gathering`; 0 for paths. With such rays, pixels have at least
+        soft_by_daylight: `soft` of frames by daylight, or by daylight and a weaker flash, if it is greater,
+            but not above `most`: there, with few samples, the denoiser takes the relief of leaves for noise.
+        directions: for the same frames, rays from the first hit of each sample of indirect light, which end
+            at their second hits: see `transport.gathering`; 0 for paths. With such rays, pixels have at least
             four samples for each of indirect light, but not more than `most`.
 
     Raises:
@@ -82,9 +82,9 @@ class Quality:
         if self.integrator not in get_args(Integrator) or self.sampler not in get_args(Sampler):
             raise ValueError(f"quality: unknown integrator or sampler in {self}")
 
-    def for_light(self, *, daylight_alone: bool) -> Quality:
-        """The numbers of samples of frames by daylight alone, or of others."""
-        if not daylight_alone:
+    def for_light(self, *, mainly_daylight: bool) -> Quality:
+        """The numbers of samples of frames whose light is mainly daylight, or of others."""
+        if not mainly_daylight:
             return replace(self, directions=0)
         soft = max(min(self.soft_by_daylight, self.most), self.soft)
         least = min(_SAMPLES_PER_SOFT * soft, self.most) if self.directions else soft

@@ -34,8 +34,6 @@ _DAYLIGHT_SHARE: Final = 0.2
 """Chosen: daylight over flash light on a white body half a metre from the flash. Below, two bounces lose a
 tenth of a fifth of the light."""
 _FLASH_DISTANCE_M: Final = 0.5
-_INVISIBLE: Final = 1e-9
-"""Chosen: flash over daylight half a metre away. From a millimetre away it is then 2.5e-4 of the daylight."""
 
 
 def needs_long_paths(
@@ -57,10 +55,10 @@ def needs_long_paths(
     return bool(light[is_bright].sum() > _BRIGHT_SHARE * light.sum())
 
 
-def has_daylight_alone(scene: Scene, response: SpectralResponse) -> bool:
-    """Whether there is no flash, or one too weak to be seen beside the light of sky and sun."""
+def has_mainly_daylight(scene: Scene, response: SpectralResponse) -> bool:
+    """Whether there is no flash, or one that is weaker than sky and sun half a metre from it."""
     flash, daylight = _detected_light(scene, response)
-    return bool(flash.sum() <= _INVISIBLE * daylight.sum())
+    return bool(flash.sum() <= daylight.sum())
 
 
 def surface_triangles(scene: Scene) -> NDArray[np.int64]:
