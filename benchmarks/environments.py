@@ -61,7 +61,7 @@ def reach_row(env: Any, policy: Policy, episodes: int) -> str:
     score, steps = (np.mean([one[column] for one in played]) for column in (0, 1))
     last = [infos[-1] for _, _, infos in played]
     there, distance, touches = (
-        np.mean([info[name] for info in last]) for name in ("is_there", "distance_m", "touches")
+        np.mean([info[name] for info in last]) for name in ("is_success", "distance_m", "touches")
     )
     cut = f"{there:.1%} | {1000.0 * distance:.0f} mm"
     return f"{score:.2f} | {cut} | {touches:.1f} | {steps:.1f}"

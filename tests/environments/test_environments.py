@@ -184,11 +184,11 @@ def test_rewards_of_the_tool_add_up_to_its_progress():
         steps = episode(env, seed, env.straight_action)
         info = steps[-1][-1]
         start, end = (one["distance_m"] + 0.05 * one["angle_rad"] for one in (steps[0][1], info))
-        expected = (start - end) / start - 0.05 * info["touches"] + info["is_there"]
+        expected = (start - end) / start - 0.05 * info["touches"] + info["is_success"]
         assert sum(step[1] for step in steps[1:]) == pytest.approx(expected, abs=1e-9)
         assert np.linalg.norm(steps[-1][0]["state"][:3]) == pytest.approx(info["distance_m"], abs=1e-6)
-        assert info["is_there"] == (info["distance_m"] <= 0.02 and info["angle_rad"] <= np.radians(20))
-        assert steps[-1][2] == (info["is_there"] or info["touches"] == 10)
+        assert info["is_success"] == (info["distance_m"] <= 0.02 and info["angle_rad"] <= np.radians(20))
+        assert steps[-1][2] == (info["is_success"] or info["touches"] == 10)
         # The tool's speed is limited.
         for one, other in pairwise(steps):
             assert abs(one[-1]["distance_m"] - other[-1]["distance_m"]) <= np.sqrt(3) * 0.012 + 1e-9

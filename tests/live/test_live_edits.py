@@ -187,6 +187,25 @@ def test_copies_are_edited_on_their_own(scene):
     assert_same_images(scene.render(), first, ("class", "instance", "depth_z"))
 
 
+def test_traits_follow_edits(scene, small_recipe):
+    """Before the edits they are those of the recipe's command."""
+    before, grown = scene.traits(), ps.plant_traits(small_recipe, 1)
+    assert before.leaves["area_m2"].to_pylist() == grown.leaves["area_m2"].to_pylist()
+    assert before.plants["leaf_area_index"].to_pylist() == grown.plants["leaf_area_index"].to_pylist()
+    one, other, *_ = scene.fruit
+    scene.pick(one.instance)
+    pose = other.pose.copy()
+    pose[2, 3] += 0.05
+    scene.move(other.instance, pose)
+    left = {row["instance"]: row for row in scene.traits().fruit.to_pylist()}
+    fruit = {row["instance"]: row for row in before.fruit.to_pylist() if row["instance"] != one.instance}
+    assert left.keys() == fruit.keys()
+    for number, row in left.items():
+        lifted = 0.05 if number == other.instance else 0.0
+        assert row["z_m"] - fruit[number]["z_m"] == pytest.approx(lifted, abs=1e-6)
+        assert row["volume_m3"] == pytest.approx(fruit[number]["volume_m3"], rel=1e-4)
+
+
 def test_tables_have_the_attributes_as_columns(scene):
     fruit, organs = scene.fruit, scene.organs
     table = fruit.to_table().to_pylist()

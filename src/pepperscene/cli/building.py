@@ -77,6 +77,12 @@ class DryRun:
             raise ArgumentError("no_probe", "applies only with --dry-run")
 
 
+FrameOption = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Index of the frame, counted from 0. Default: the first selected."),
+]
+
+
 @command
 def build(
     *,
@@ -155,10 +161,7 @@ def render(
     *,
     out: Annotated[Path, typer.Option(help="Folder of the frame; created if missing.")],
     recipe: RecipeArgument = "demo",
-    frame: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Index of the frame, counted from 0. Default: the first selected."),
-    ] = None,
+    frame: FrameOption = None,
     outputs: OutputsOption = DEFAULTS,
     options: Annotated[BuildOptions, Only("quality", "target_error", "seed", "allow_code")],
     set: SetOption = None,
@@ -184,10 +187,7 @@ def scene(
         typer.Option(help="File of the scene; its suffix sets the format: .glb, .usd, .usda, .usdc or .sdf."),
     ],
     recipe: RecipeArgument = "demo",
-    frame: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Index of the frame, counted from 0. Default: the first selected."),
-    ] = None,
+    frame: FrameOption = None,
     seed: SeedOption = None,
     set: SetOption = None,
     allow_code: CodeOption = False,
@@ -268,12 +268,7 @@ def traits(
     *,
     out: Annotated[Path, typer.Option(help="Folder of the tables; created if missing.")],
     recipe: RecipeArgument = "demo",
-    frame: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Frame whose scene is measured, counted from 0. Default: the first selected."
-        ),
-    ] = None,
+    frame: FrameOption = None,
     form: Annotated[
         str, typer.Option("--format", metavar="parquet|csv", help="Format of the files.")
     ] = "parquet",
@@ -285,8 +280,7 @@ def traits(
     from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
     check_traits_output(out, form)
-    changes = parse_changes(set or ()) | ({} if seed is None else {"seed": seed})
-    tables = plant_traits(resolve_recipe(recipe, changes), frame, echo_progress)
+    tables = plant_traits(resolve_recipe(recipe, parse_changes(set or ()), seed), frame, echo_progress)
     plants, leaves, fruit = (table.num_rows for table in (tables.plants, tables.leaves, tables.fruit))
     typer.echo(f"{plants:,} plants, {leaves:,} leaves, {fruit:,} fruit")
     for path in write_traits(tables, out, form):

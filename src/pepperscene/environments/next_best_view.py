@@ -16,7 +16,6 @@ from pepperscene.environments.crop import FloatArray, SceneKey, unit_space, unit
 from pepperscene.errors import ArgumentError
 from pepperscene.learning.tasks.view_scenes import ViewTask, arc_poses, random_views
 from pepperscene.live import SceneFruit
-from pepperscene.live.whole_scene import whole_scene
 from pepperscene.recipe.views.workspace import ReachTest
 from pepperscene.render.viewpoints import FruitObserver
 from pepperscene.truth.view_planning import greedy_views
@@ -30,7 +29,7 @@ _TURN_RAD: Final = np.array([0.5, 1.0 / 3.0]) * np.pi  # chosen: largest yaw and
 @lru_cache(maxsize=2)
 def view_space(key: SceneKey, task: ViewTask) -> tuple[FruitObserver, ReachTest]:
     """What the camera sees in a scene as it was grown, and where it may be; the last ones are held."""
-    scene = whole_scene(crop.grown_scene(key)[0])
+    scene = crop.grown_scene(key)[0].scene
     return FruitObserver(scene, task.samples), ReachTest(task.box, scene.mesh, task.clearance_m)
 
 

@@ -93,9 +93,9 @@ class Reach(crop.CropEnv):
         if not self._touched:
             self._tip, self._turn = tip, turn
         observation, info = self._state()
-        is_there, touches = info["is_there"], info["touches"]
-        reward = (before - self._left()) / self._way - _TOUCHED * self._touched + is_there
-        is_over = is_there or touches >= _MOST_TOUCHES
+        is_success, touches = info["is_success"], info["touches"]
+        reward = (before - self._left()) / self._way - _TOUCHED * self._touched + is_success
+        is_over = is_success or touches >= _MOST_TOUCHES
         return observation, float(reward), is_over, self._count >= self._steps and not is_over, info
 
     def straight_action(self) -> NDArray[np.float32]:
@@ -108,6 +108,11 @@ class Reach(crop.CropEnv):
         """Distance of the tip to the cut, metres, and angle of the tool to the approach, radians."""
         cosine = np.clip(crop.direction(self._turn) @ self._approach, -1.0, 1.0)
         return float(np.linalg.norm(self._cut - self._tip)), float(np.arccos(cosine))
+
+    def _is_at_cut(self) -> bool:
+        """Whether the stalk is between the blades, in the direction of the approach."""
+        distance, angle = self._gap()
+        return distance <= _CLOSE_M and angle <= _ALIGNED_RAD
 
     def _left(self) -> float:
         """The way that is left, metres."""
@@ -138,5 +143,8 @@ class Reach(crop.CropEnv):
             images = self._images(pose)
         distance, angle = self._gap()
         info = {"distance_m": distance, "angle_rad": angle, "touches": self._touches_so_far}
-        info |= {"is_there": distance <= _CLOSE_M and angle <= _ALIGNED_RAD, "target": self._target.instance}
+        info |= {
+            "is_success": distance <= _CLOSE_M and angle <= _ALIGNED_RAD,
+            "target": self._target.instance,
+        }
         return {"state": unit_values(state), **images}, info

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.scenes.scene_builder import NearScene
+from pepperscene.building.scenes.trait_tables import PlantTraits, scene_traits
 from pepperscene.camera import Camera
 from pepperscene.camera.poses.generators import as_points
 from pepperscene.classes import Instance, OrganClass
@@ -19,11 +20,11 @@ from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh
 from pepperscene.live import arguments
-from pepperscene.live.looks import Look, Looks
 from pepperscene.live.objects import SceneFruit, SceneList, SceneOrgan, organ_pose, scene_fruit, scene_organs
 from pepperscene.live.queries import nearest_surface, touched_instances
 from pepperscene.live.renderers import StateRenderers
 from pepperscene.live.state import FarPlants, SceneState, open_state
+from pepperscene.live.view_setups import ViewSetup, ViewSetups
 from pepperscene.materials import Surface, greenhouse_surfaces
 from pepperscene.outputs import check_outputs, needs_surfaces
 from pepperscene.recipe.plan import FrameSpec, frame_seed
@@ -32,7 +33,7 @@ from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.recipe.views.near_plants import CoarsePlants, near_views
 from pepperscene.render import Quality, resolve_quality
-from pepperscene.scene import FarRow
+from pepperscene.scene import FarRow, Scene, ground_area
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -105,10 +106,10 @@ class LiveScene:
         self._opened = self._state = open_state(near.built, models, meshes)
         self._edited = False
         self.view_count = 0
-        self._last: Look | None = None
+        self._last: ViewSetup | None = None
         self._coarse: tuple[FarPlants, CoarsePlants] | None = None
         self._renderers = StateRenderers(frames, spec, near)
-        self._looks = Looks(frames, spec, self._renderers)
+        self._setups = ViewSetups(frames, spec, self._renderers)
 
     def __repr__(self) -> str:
         row = self._frames.setups.at(self._spec).recipe.row
@@ -121,7 +122,7 @@ class LiveScene:
     @property
     def camera(self) -> Camera:
         """The camera of the frame, at its pose; an automatic exposure is not metered."""
-        return self._looks.camera(Look(self._spec))
+        return self._setups.camera(ViewSetup(self._spec))
 
     def render(
         self,
@@ -159,43 +160,45 @@ class LiveScene:
         poses = [None] if pose is None else arguments.camera_poses(pose, axes)
         frames = []
         for one in poses:
-            look = self._looks.at(one, camera, self.view_count, edited=self._edited)
-            frames.append(self._render(look, names, level))
+            setup = self._setups.at(one, camera, self.view_count, edited=self._edited)
+            frames.append(self._render(setup, names, level))
         return frames[0] if pose is None or np.ndim(pose) == 2 else frames
 
-    def _render(self, look: Look, outputs: tuple[str, ...], quality: Quality) -> Frame:
+    def _render(self, setup: ViewSetup, outputs: tuple[str, ...], quality: Quality) -> Frame:
         """Render one view."""
         held, state, traced = None, self._state, needs_surfaces(outputs)
-        if look.is_frame and not self._edited:
+        if setup.is_frame and not self._edited:
             # Light in a scene that is culled for the data set differs by less than can be seen, but differs.
             if traced or self._frames.views.depends_on_scene:
                 held = self._renderers.of_frames(traced=traced)
             else:
                 held = self._renderers.of(self._opened)
         if held is None:
-            state = self._with_near_plants(look)
-            held = self._renderers.of(state, look.camera, traced=traced)
-        if look.camera is None:
+            state = self._with_near_plants(setup)
+            held = self._renderers.of(state, setup.camera, traced=traced)
+        if setup.camera is None:
             frame = self._frames.render_view(
-                look.spec, held.assembled, held.renderer, outputs, quality, view=look.view, seed=look.seed
+                setup.spec, held.assembled, held.renderer, outputs, quality, view=setup.view, seed=setup.seed
             )
         else:
-            seed = frame_seed(self._frames.recipe.seed, look.spec.index) if look.seed is None else look.seed
-            frame = held.renderer.render(look.camera, outputs, quality, seed)
+            seed = setup.seed
+            if seed is None:
+                seed = frame_seed(self._frames.recipe.seed, setup.spec.index)
+            frame = held.renderer.render(setup.camera, outputs, quality, seed)
             frame = Frame(frame.images, {**frame.metadata, **held.assembled.statistics})
-        self.view_count += look.seed is not None
-        self._state, self._last = state, look
+        self.view_count += setup.seed is not None
+        self._state, self._last = state, setup
         return frame
 
-    def _with_near_plants(self, look: Look) -> SceneState:
+    def _with_near_plants(self, setup: ViewSetup) -> SceneState:
         """The state with the plants of far rows in full that a view shows from near."""
         far, builder, state = self._near.built.far_rows, self._frames.builder(self._spec), self._state
-        if not far or look.is_frame:
+        if not far or setup.is_frame:
             return state
-        if look.camera is None:
-            seen = self._frames.views.near_views([look.spec], view=look.view)
+        if setup.camera is None:
+            seen = self._frames.views.near_views([setup.spec], view=setup.view)
         else:
-            seen = near_views([look.camera])
+            seen = near_views([setup.camera])
         if self._coarse is None or self._coarse[0] is not state.far:
             full = {number for row in far for number in row.plants.tolist()} - set(state.far.counts)
             self._coarse = state.far, CoarsePlants(builder.far_models, far, full)
@@ -209,12 +212,22 @@ class LiveScene:
     # --- what is where ---
 
     @property
+    def scene(self) -> Scene:
+        """Triangles and skeleton as they are now, without surfaces and light: for `export_scene`, say."""
+        return self._renderers.of(self._state).assembled.scene
+
+    def traits(self) -> PlantTraits:
+        """Traits of the plants, leaves and fruit that are there now; see `plant_traits`."""
+        builder = self._frames.builder(self._spec)
+        return scene_traits(self.scene, ground_area(1, builder.row, builder.greenhouse))
+
+    @property
     def fruit(self) -> SceneList[SceneFruit]:
         """The fruit of the scene, with what a harvest robot needs to know of each."""
         held = self._renderers.of(self._state)
         visible = None
         if self._last is not None:
-            frame = held.renderer.render(self._looks.camera(self._last), ("harvest",))
+            frame = held.renderer.render(self._setups.camera(self._last), ("harvest",))
             visible = {entry["instance"]: entry["visible_fraction"] for entry in frame["harvest"]["fruit"]}
         return scene_fruit(held.renderer.fruit_truths(), visible)
 

@@ -16,7 +16,7 @@ from pepperscene.recipe.views.fixed_views import View
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class ViewSetup:
     """What one view is made with.
 
     Attributes:
@@ -37,7 +37,7 @@ class Look:
         return self.view is None and self.camera is None
 
 
-class Looks:
+class ViewSetups:
     """The views of a frame's scene.
 
     Args:
@@ -51,7 +51,7 @@ class Looks:
 
     def at(
         self, pose: NDArray[np.float64] | None, camera: Camera | None, number: int, *, edited: bool
-    ) -> Look:
+    ) -> ViewSetup:
         """How the view with a number is made.
 
         Args:
@@ -62,25 +62,25 @@ class Looks:
         """
         seed = view_seed(self._frames.recipe.seed, self._spec.index, number)
         if camera is not None:
-            own = self.camera(Look(self._spec)).pose if pose is None else pose
-            return Look(self._spec, None, camera.at_pose(own), None if pose is None else seed)
+            own = self.camera(ViewSetup(self._spec)).pose if pose is None else pose
+            return ViewSetup(self._spec, None, camera.at_pose(own), None if pose is None else seed)
         key = None if pose is None else np.ascontiguousarray(pose, float).tobytes()
         spec = self._spec if key is None else self._frames_by_pose.get(key)
         if spec is not None:
             # Views that depend on plants are those of the scene before edits.
             depends = edited and self._frames.views.depends_on_scene
-            return Look(spec, self._own_view(spec) if depends else None)
+            return ViewSetup(spec, self._own_view(spec) if depends else None)
         main = np.asarray(pose)
         if self._spec.camera:
             # The pose is that of this camera of the rig, which moves with the first.
             rig = self._frames.recipe.rig
             main = main @ np.linalg.inv(rig[self._spec.camera - 1].extrinsics)
-        return Look(self._spec, View(main), None, seed)
+        return ViewSetup(self._spec, View(main), None, seed)
 
-    def camera(self, look: Look) -> Camera:
+    def camera(self, setup: ViewSetup) -> Camera:
         """The camera of a view."""
-        view = look.view or self._own_view(look.spec)
-        return look.camera or self._frames.views.camera(look.spec, view=view)
+        view = setup.view or self._own_view(setup.spec)
+        return setup.camera or self._frames.views.camera(setup.spec, view=view)
 
     @cached_property
     def _frames_by_pose(self) -> dict[bytes, FrameSpec]:
@@ -89,7 +89,7 @@ class Looks:
         specs = [] if views.depends_on_scene else self._frames.frames_of_scene(own)
         alike = [one for one in specs if (one.twin, one.camera) == (own.twin, own.camera)]
         # Of equal poses, the own one counts.
-        return {self.camera(Look(spec)).pose.tobytes(): spec for spec in (*alike, own)}
+        return {self.camera(ViewSetup(spec)).pose.tobytes(): spec for spec in (*alike, own)}
 
     def _own_view(self, spec: FrameSpec) -> View:
         """The view of a frame."""
