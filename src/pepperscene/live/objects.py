@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import Instance, OrganClass
-from pepperscene.geometry.fruit.fruits import fruit_frames
-from pepperscene.grammar import Organ
 from pepperscene.scene import Skeleton
+from pepperscene.scene.placement import organ_poses
 from pepperscene.truth.harvest import FruitTruth
 
 if TYPE_CHECKING:
@@ -130,26 +129,11 @@ def scene_organs(
     indices = [i for i in skeleton.instances() if i < len(present) and present[i] and skeleton.kind(i)]
     organs = [skeleton.organ(index) for index in indices]
     made = []
-    for index, organ, pose in zip(indices, organs, _poses(organs), strict=True):
+    for index, organ, pose in zip(indices, organs, organ_poses(organs), strict=True):
         length_m = float(np.linalg.norm(np.diff(organ.curve, axis=0), axis=1).sum())
         made.append(_organ(index, instances[index], pose, length_m))
     made += [_organ(index, instances[index], pose, np.nan) for index, pose in sorted(objects.items())]
     return SceneList(made)
-
-
-def organ_pose(organ: Organ) -> FloatArray:
-    """`(4, 4)` pose of an organ to world, as in `SceneOrgan`."""
-    return next(_poses([organ]))
-
-
-def _poses(organs: Sequence[Organ]) -> Iterator[FloatArray]:
-    if not organs:
-        return
-    frames = fruit_frames(organs)
-    for foot, axes in zip(frames.foot, frames.axes, strict=True):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = axes.T, foot
-        yield pose
 
 
 def _organ(index: int, item: Instance, pose: FloatArray, length_m: float) -> SceneOrgan:

@@ -20,7 +20,7 @@ from pepperscene.errors import ArgumentError
 from pepperscene.frame import Frame
 from pepperscene.geometry import Mesh
 from pepperscene.live import arguments
-from pepperscene.live.objects import SceneFruit, SceneList, SceneOrgan, organ_pose, scene_fruit, scene_organs
+from pepperscene.live.objects import SceneFruit, SceneList, SceneOrgan, scene_fruit, scene_organs
 from pepperscene.live.queries import nearest_surface, touched_instances
 from pepperscene.live.renderers import StateRenderers
 from pepperscene.live.state import FarPlants, SceneState, open_state
@@ -34,6 +34,7 @@ from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.recipe.views.near_plants import CoarsePlants, near_views
 from pepperscene.render import Quality, resolve_quality
 from pepperscene.scene import FarRow, Scene, ground_area
+from pepperscene.scene.placement import organ_poses
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -322,7 +323,9 @@ class LiveScene:
         state, index = self._state, self._state.index(instance)
         target = arguments.rigid_motion(pose)
         members = state.branch(index)  # refuses what cannot move
-        old = state.objects[index] if index in state.objects else organ_pose(state.skeleton.organ(index))
+        old = (
+            state.objects[index] if index in state.objects else organ_poses([state.skeleton.organ(index)])[0]
+        )
         motion = np.eye(4)
         motion[:3, :3] = target[:3, :3] @ old[:3, :3].T
         motion[:3, 3] = target[:3, 3] - motion[:3, :3] @ old[:3, 3]

@@ -262,3 +262,21 @@ def assemble_scene(
     if missing:
         raise ValueError(f"missing surfaces: {', '.join(missing)}")
     return Scene(mesh, tuple(surfaces[name] for name in mesh.surfaces), sky, skeleton)
+
+
+def organ_poses(organs: Sequence[Organ]) -> NDArray[np.float64]:
+    """`(n, 4, 4)` poses of organs: from the base, x to the upper side, y to the right, z towards the tip.
+
+    Organs without a length stand upright.
+    """
+    from pepperscene.geometry.fruit.fruits import axis_frames
+
+    poses = np.tile(np.eye(4), (len(organs), 1, 1))
+    if organs:
+        base = np.array([organ.curve[0] for organ in organs], dtype=float)
+        axis = np.array([organ.curve[-1] for organ in organs], dtype=float) - base
+        axis[np.linalg.norm(axis, axis=1) == 0.0] = [0.0, 0.0, 1.0]
+        up = np.array([organ.up for organ in organs], dtype=float)
+        poses[:, :3, :3] = axis_frames(axis, up).swapaxes(1, 2)
+        poses[:, :3, 3] = base
+    return poses

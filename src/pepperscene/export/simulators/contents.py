@@ -17,6 +17,7 @@ from pepperscene.geometry.organ_parts import OrganNodes, organ_names
 from pepperscene.render.aov.harvest import SceneHarvest
 from pepperscene.render.aov.isolated import IsolatedOrgans
 from pepperscene.scene import rotation_about_z
+from pepperscene.scene.placement import organ_poses
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def scene_contents(
         truths = {node_of[truth.index]: truth for truth in harvest.truths()}
         plants = _plant_poses(skeleton, scene.mesh)
         organs = [index for index, number in enumerate(first) if skeleton.kind(int(number)) is not None]
-        poses[organs] = _organ_poses(skeleton, first[organs])
+        poses[organs] = organ_poses([skeleton.organ(int(number)) for number in first[organs]])
     for index, item in enumerate(mesh.instances):
         if item.plant >= 0 and item.plant not in plants:
             plants[item.plant] = _place_of(mesh, index)
@@ -206,19 +207,6 @@ def _plant_poses(skeleton: Skeleton, mesh: Mesh) -> dict[int, Pose]:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation_about_z(float(turn)), base
         poses[mesh.instances[start].plant] = pose
-    return poses
-
-
-def _organ_poses(skeleton: Skeleton, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
-    """`(n, 4, 4)` organ to world: from its base, x to its upper side and z towards its tip, as of fruit."""
-    organs = [skeleton.organ(int(number)) for number in numbers]
-    poses = np.tile(np.eye(4), (len(organs), 1, 1))
-    base = np.array([organ.curve[0] for organ in organs]).reshape(-1, 3)
-    axis = np.array([organ.curve[-1] for organ in organs]).reshape(-1, 3) - base
-    axis[np.linalg.norm(axis, axis=1) == 0.0] = [0.0, 0.0, 1.0]
-    up = np.array([organ.up for organ in organs]).reshape(-1, 3)
-    poses[:, :3, :3] = axis_frames(axis, up).swapaxes(1, 2)
-    poses[:, :3, 3] = base
     return poses
 
 
