@@ -146,7 +146,7 @@ class AutoExposureTable(Table):
         exposure_s: shortest and longest exposure time.
         most_gain: highest gain. The lowest is `camera.gain`.
         metering: weights of the pixels: equal; more in the middle of the image; or only those of plants, with
-            at most 0.5 % of them saturated; `highlights` has no target, but is as bright as that allows.
+            at most 0.3 % of them saturated; `highlights` has no target, but is as bright as that allows.
     """
 
     target_grey: Annotated[float, within(1, 250)] = 110.0
