@@ -17,6 +17,7 @@ CHANGES = {
     "camera.height": 48,
     "camera.exposure_us": "auto",
     "auto_exposure.target_grey": 60.0,
+    "auto_exposure.metering": "subject",
 }
 
 
@@ -34,7 +35,7 @@ def test_camera_of_a_frame_has_its_metered_exposure(renderer):
     seed = frame_seed(renderer.recipe.seed, spec.index)
     again = render_scene(renderer.scene(spec), camera, ["colour"], "draft", seed)
     assert np.array_equal(again["colour"], frame["colour"])
-    assert frame.metadata["auto_exposure"]["limited_by"] is None
+    assert frame.metadata["auto_exposure"]["metering"] == "subject"
 
 
 def test_camera_without_photographs_is_not_metered(renderer):
