@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from pepperscene.export.image_options import ALPHA, MASK, UNDISTORT
-
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -38,7 +36,7 @@ class ExportFormat:
     has_masks: bool = False  # whether ignored pixels, if there can be some, are written as masks
     has_clock: bool = False  # whether frames have times
     has_crowds: bool = True  # whether fruit of unknown ripeness is marked as such, not left out
-    image_options: frozenset[str] = frozenset()  # those that change its images
+    image_options: frozenset[str] = frozenset()  # of `export_dataset` that change its images
 
     def write(self, job: ExportJob, folder: Path) -> None:
         """Write the files of an export into a folder."""
@@ -71,7 +69,7 @@ _SCENES: Final = ExportFormat(
     "with `class` and `instance` also these of seed points",
     module="reconstruction",
     has_masks=True,
-    image_options=frozenset({MASK, ALPHA, UNDISTORT}),
+    image_options=frozenset({"mask", "alpha", "undistort"}),
 )
 
 _RGBD: Final = ExportFormat(
@@ -79,7 +77,7 @@ _RGBD: Final = ExportFormat(
     "RGB-D sequences as of TUM, with ROS's `camera_info`",
     (DEPTH_OUTPUTS,),
     "with `colour` also photographs",
-    image_options=frozenset({MASK, UNDISTORT}),
+    image_options=frozenset({"mask", "undistort"}),
 )
 
 _ALL: Final = (
@@ -129,7 +127,7 @@ _ALL: Final = (
         "a labelled point cloud of each frame",
         _LABELLED_DEPTH,
         module="reconstruction",
-        image_options=frozenset({MASK}),
+        image_options=frozenset({"mask"}),
     ),
     _RGBD,
     replace(

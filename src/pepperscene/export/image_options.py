@@ -8,11 +8,6 @@ from typing import Final
 from pepperscene.classes import PLANT_CLASSES, OrganClass, parse_class_mapping
 from pepperscene.errors import ArgumentError
 
-MASK: Final = "mask"
-ALPHA: Final = "alpha"
-UNDISTORT: Final = "undistort"
-"""Names of the options."""
-
 _PARTS: Final[dict[str, frozenset[int]]] = {
     "plant": frozenset(map(int, PLANT_CLASSES)),
     "fruit": frozenset({int(OrganClass.PEPPER)}),
@@ -26,19 +21,13 @@ class ImageOptions:
 
     Attributes:
         foreground: class ids of what masks and points have; None for all that is not ignored.
-        has_alpha: whether photographs have a fourth channel: the share of a pixel that shows the foreground,
-            or else plants.
+        cut_out: class ids whose share of each pixel is a fourth channel of photographs; None for no such.
         is_undistorted: whether images are those of a pinhole camera whose principal point is in the middle.
     """
 
     foreground: frozenset[int] | None = None
-    has_alpha: bool = False
+    cut_out: frozenset[int] | None = None
     is_undistorted: bool = False
-
-    @property
-    def cut_out(self) -> frozenset[int]:
-        """Class ids of what the fourth channel shows."""
-        return _PARTS["plant"] if self.foreground is None else self.foreground
 
 
 def parse_foreground(text: str) -> frozenset[int]:
@@ -48,6 +37,6 @@ def parse_foreground(text: str) -> frozenset[int]:
         ArgumentError: a name is unknown, or occurs twice.
     """
     if "=" in text:
-        raise ArgumentError(MASK, f"{text!r} must be classes such as leaf+stem, without a name")
-    mapping = parse_class_mapping(text.replace("+", ","), _PARTS, MASK)
+        raise ArgumentError("mask", f"{text!r} must be classes such as leaf+stem, without a name")
+    mapping = parse_class_mapping(text.replace("+", ","), _PARTS, "mask")
     return frozenset[int]().union(*(_PARTS[name] for _, own in mapping for name in own))

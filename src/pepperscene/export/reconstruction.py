@@ -42,6 +42,7 @@ from pepperscene.export.surface import (
     mask_png,
     picture_png,
     read_colour,
+    read_geometry,
     read_label,
     read_surface,
     read_view,
@@ -118,7 +119,7 @@ def _write_frames(job: ExportJob, place: Path, frames: Iterable[DatasetFrame]) -
         (place / name).mkdir()
     entries: list[dict[str, Any]] = []
     for frame in frames:
-        surface, file = read_view(frame, job.images), f"{frame.name}.png"
+        surface, file = read_view(frame, read_geometry(frame, job.images)), f"{frame.name}.png"
         contents = {"images": picture_png(frame, surface, job.images), "depths": surface.depth_png()}
         if job.has_masks:
             contents["masks"] = mask_png(frame, surface, job.images.foreground)
@@ -207,7 +208,7 @@ def _write_scene(job: ExportJob, place: Path, seeds: SeedPoints, frames: Iterabl
     with (model / "images.txt").open("w", encoding="utf-8", newline="\n") as file:
         file.write(COLMAP_IMAGES)
         for number, frame in enumerate(frames, start=1):
-            surface, name = read_view(frame, job.images), f"{frame.name}.png"
+            surface, name = read_view(frame, read_geometry(frame, job.images)), f"{frame.name}.png"
             (place / "images" / name).write_bytes(picture_png(frame, surface, job.images))
             if job.has_masks:
                 content = mask_png(frame, surface, job.images.foreground)

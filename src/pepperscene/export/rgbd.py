@@ -24,13 +24,12 @@ from pepperscene.export.job import ExportJob, open_groups, sequence_groups, writ
 from pepperscene.export.surface import (
     MILLIMETRES,
     ImageGeometry,
-    RangeImage,
     depth_png,
     mask_png,
     picture_png,
     read_geometry,
     read_label,
-    read_surface,
+    read_view,
     valid_pixels,
 )
 
@@ -50,17 +49,12 @@ def write_rgbd(job: ExportJob, folder: Path) -> None:
     for none. With a foreground, they are 0 outside it, and `mask/000110.png` is 255 inside. Without
     photographs in all frames, there is nothing of `rgb`.
     """
-    _write_sequences(job, folder, _exact_depth)
+    _write_sequences(job, folder, lambda frame, geometry: read_view(frame, geometry).depth_z)
 
 
 def write_rgbd_sensor(job: ExportJob, folder: Path) -> None:
     """Write the files of `write_rgbd` with the depths that a depth camera measured; 0 in its holes."""
     _write_sequences(job, folder, lambda frame, view: read_label(frame, "depth_sensor", view))
-
-
-def _exact_depth(frame: DatasetFrame, geometry: ImageGeometry) -> NDArray[np.floating[Any]]:
-    surface = read_surface(frame)
-    return RangeImage(geometry.camera, geometry.resample(surface.distance, np.inf)).depth_z
 
 
 def _write_sequences(job: ExportJob, folder: Path, depth_of: DepthOf) -> None:

@@ -28,7 +28,7 @@ from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.recorded_values import fruit_name, recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.export.formats import FORMATS, ExportFormat
-from pepperscene.export.image_options import ALPHA, MASK, UNDISTORT, ImageOptions, parse_foreground
+from pepperscene.export.image_options import ImageOptions, parse_foreground
 from pepperscene.export.job import ExportJob, OnFrame
 from pepperscene.libraries import import_library
 from pepperscene.recipe.plan import Plan
@@ -140,7 +140,7 @@ def export_dataset(
         required = (*required, ("instance",))
     if (export_format.has_masks and job.has_ignored_pixels) or images.foreground is not None:
         required = (*required, ("class",))
-    if images.has_alpha:
+    if images.cut_out is not None:
         required = (*required, ("class", "coverage"))
     _check_outputs(dataset, list(job.split_of), required)
     with new_folder(Path(out), dataset.folder) as temporary:
@@ -194,11 +194,12 @@ def _image_options(
     export_format: ExportFormat, mask: str | None, alpha: bool, undistort: bool
 ) -> ImageOptions:
     """The options of images; raises `ArgumentError` if one is not valid or does not apply to a format."""
-    for name, value in ((MASK, mask), (ALPHA, alpha), (UNDISTORT, undistort)):
+    for name, value in (("mask", mask), ("alpha", alpha), ("undistort", undistort)):
         if value and name not in export_format.image_options:
             formats = [one.name for one in FORMATS.values() if name in one.image_options]
             raise ArgumentError(name, f"does not apply to {export_format.name}, only to {', '.join(formats)}")
-    return ImageOptions(None if mask is None else parse_foreground(mask), alpha, undistort)
+    cut_out = parse_foreground(mask or "plant") if alpha else None
+    return ImageOptions(None if mask is None else parse_foreground(mask), cut_out, undistort)
 
 
 def _make_selection(

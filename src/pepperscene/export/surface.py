@@ -138,10 +138,10 @@ def read_geometry(frame: DatasetFrame, options: ImageOptions) -> ImageGeometry:
     )
 
 
-def read_view(frame: DatasetFrame, options: ImageOptions) -> RangeImage:
-    """The surface of a frame as its exported images show it; raises as `read_geometry` and `read_surface`."""
-    geometry, surface = read_geometry(frame, options), read_surface(frame)
-    return RangeImage(geometry.camera, geometry.resample(surface.distance, np.inf), pinhole=geometry.pinhole)
+def read_view(frame: DatasetFrame, geometry: ImageGeometry) -> RangeImage:
+    """The surface of a frame as its exported images show it; raises as `read_surface`."""
+    distance = geometry.resample(read_surface(frame).distance, np.inf)
+    return RangeImage(geometry.camera, distance, pinhole=geometry.pinhole)
 
 
 def read_surface(frame: DatasetFrame, *, allows_line_scan: bool = False) -> RangeImage:
@@ -190,11 +190,11 @@ def picture_png(frame: DatasetFrame, geometry: ImageGeometry, options: ImageOpti
     255, by the output `coverage`, or else 255 where the pixel's centre does. Pixels that show the foreground
     in part have the colour of the nearest inside it, up to 5 pixels away.
     """
-    if geometry.pinhole is None and not options.has_alpha:
+    if geometry.pinhole is None and options.cut_out is None:
         return frame.content("colour")
     colour = read_colour(frame, geometry)
-    if options.has_alpha:
-        alpha = _read_alpha(frame, geometry, options)
+    if options.cut_out is not None:
+        alpha = _read_alpha(frame, geometry, options.cut_out)
         colour = np.concatenate([_without_background(colour, alpha[..., 0]), alpha], axis=-1)
     return png_bytes(colour)
 
@@ -215,11 +215,11 @@ def _without_background(colour: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> 
     return np.where(is_replaced[..., None], colour[rows, columns], colour)
 
 
-def _read_alpha(frame: DatasetFrame, geometry: ImageGeometry, options: ImageOptions) -> NDArray[np.uint8]:
+def _read_alpha(frame: DatasetFrame, geometry: ImageGeometry, cut_out: frozenset[int]) -> NDArray[np.uint8]:
     """`(h, w, 1)` the fourth channel of a picture."""
     if "coverage" not in frame.metadata["outputs"]:
-        return np.where(valid_pixels(frame, geometry, options.cut_out), np.uint8(255), np.uint8(0))[..., None]
-    shares = _read_image(frame, "coverage", geometry)[..., sorted(options.cut_out)]
+        return np.where(valid_pixels(frame, geometry, cut_out), np.uint8(255), np.uint8(0))[..., None]
+    shares = _read_image(frame, "coverage", geometry)[..., sorted(cut_out)]
     alpha = np.rint(255.0 * shares.sum(axis=-1, keepdims=True, dtype=np.float32)).astype(np.uint8)
     return alpha if geometry.pinhole is None else geometry.pinhole.resample_colour(alpha)
 

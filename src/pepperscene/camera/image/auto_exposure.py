@@ -181,17 +181,13 @@ def _reach_grey(read: MeterReading, lowest: float, control: ExposureControl) -> 
         target, limit = brightest * (1.0 - _TOLERANCE), "saturation"
 
     # The exposure time first, then the gain.
-    def grey_of_exposure(exposure_s: float) -> float:
-        return read(exposure_s, lowest, 1.0).grey
-
-    def grey_of_gain(gain: float) -> float:
-        return read(longest, gain, 1.0).grey
-
-    gain = lowest
-    if grey_of_exposure(longest) < target * (1.0 - _TOLERANCE):
-        exposure_s, (gain, grey) = longest, _search(grey_of_gain, lowest, most, target)
+    exposure_s, gain = longest, lowest
+    if read(longest, lowest, 1.0).grey < target * (1.0 - _TOLERANCE):
+        gain, grey = _search(lambda gain: read(longest, gain, 1.0).grey, lowest, most, target)
     else:
-        exposure_s, grey = _search(grey_of_exposure, control.shortest_s, longest, target)
+        exposure_s, grey = _search(
+            lambda exposure_s: read(exposure_s, lowest, 1.0).grey, control.shortest_s, longest, target
+        )
     if grey > control.target_grey * (1.0 + _TOLERANCE):
         limit = "shortest exposure"
     return ChosenExposure(exposure_s, gain, grey, limit)
