@@ -101,6 +101,17 @@ def test_view_without_plants_is_metered_as_a_whole(renderer):
     assert subject == average | {"metering": "average", "saturated": subject["saturated"]}
 
 
+def test_imagers_of_a_depth_camera_are_exposed_for_plants(renderer):
+    greys = {}
+    for metering in ("average", "subject"):
+        depth = replace(partners().depth, exposure_control=ExposureControl(60.0, metering=metering))
+        image = renderer.render(camera(), ["imager_left"], "draft", 3, partners=Partners(depth=depth))
+        classes = renderer.render(depth.left, ["class"])["class"]
+        greys[metering] = image["imager_left"][np.isin(classes, list(PLANT_CLASSES))].mean()
+    assert greys["subject"] == pytest.approx(60.0, abs=3.0)
+    assert abs(greys["average"] - 60.0) > 10.0
+
+
 def test_flash_of_a_night_scene_is_metered_during_its_pulse(renderer):
     # Beyond the pulse, its light no longer depends on the exposure.
     view = photographer()
