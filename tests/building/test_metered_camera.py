@@ -39,6 +39,7 @@ def test_camera_of_a_frame_has_its_metered_exposure(renderer):
     assert frame.metadata["auto_exposure"]["metering"] == "subject"
 
 
+@pytest.mark.long
 def test_cameras_of_a_rig_and_of_an_open_scene_meter_their_own_subject():
     away = {"name": "away", "rotation_deg": [180.0, 0.0, 0.0]}
     recipe = load_recipe("barth2018", {**CHANGES, "rig": [away], "views.kind": "arc"})
