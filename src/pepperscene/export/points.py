@@ -19,7 +19,6 @@ from pepperscene.export.surface import read_colour, read_label, read_surface, va
 LABELS: Final = ("class", "instance")
 _SEED_POINTS: Final = 20_000
 """Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
-_COLOURS: Final = ("red", "green", "blue")
 _TYPES: Final = {"f4": "float", "u1": "uchar", "u2": "ushort"}
 
 
@@ -39,8 +38,7 @@ class SeedPoints:
 
     def file(self, numbers: NDArray[np.int64], *, has_normals: bool) -> bytes:
         """A PLY file of some of them; all normals are 0, as they are not known."""
-        zero = np.zeros(len(numbers), np.float32)
-        normals = dict.fromkeys(("nx", "ny", "nz"), zero) if has_normals else {}
+        normals = dict.fromkeys(("nx", "ny", "nz") if has_normals else (), np.zeros(len(numbers), np.float32))
         labels = {name: values[numbers] for name, values in self.labels.items()}
         return point_file(self.position[numbers], self.colour[numbers], **normals, **labels)
 
@@ -84,7 +82,7 @@ def point_file(
         extra: more properties by name, each `(n,)` of float32, uint8 or uint16.
     """
     columns = dict(zip("xyz", np.asarray(position, "<f4").T, strict=True))
-    columns |= dict(zip(_COLOURS, colour.T, strict=True))
+    columns |= dict(zip(("red", "green", "blue"), colour.T, strict=True))
     columns |= {name: values.astype(values.dtype.newbyteorder("<")) for name, values in extra.items()}
     properties = [f"property {_TYPES[values.dtype.str[1:]]} {name}" for name, values in columns.items()]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(position)}", *properties]

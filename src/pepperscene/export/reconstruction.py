@@ -92,10 +92,9 @@ def write_nerfstudio(job: ExportJob, folder: Path) -> None:
     """
     for place, indices, frames in open_groups(job, folder, scene_groups(job)):
         points = seed_points(job, indices)
-        content = points.file(np.arange(len(points.position)), has_normals=False)
-        (place / _POINT_FILE).write_bytes(content)
-        transforms = _transforms(job, indices, _write_frames(job, place, frames))
-        write_json(place / "transforms.json", transforms)
+        (place / _POINT_FILE).write_bytes(points.file(np.arange(len(points.position)), has_normals=False))
+        content = _transforms(job, indices, _write_frames(job, place, frames))
+        write_json(place / "transforms.json", content)
 
 
 def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -80,15 +80,14 @@ def _write_images(
     poses = []
     for frame in frames:
         geometry = read_geometry(frame, job.images)
-        camera = geometry.camera
-        first = first or camera
-        if _camera_info(camera) != _camera_info(first):
+        first = first or geometry.camera
+        if _camera_info(geometry.camera) != _camera_info(first):
             problem = "must be the same in all frames of a sequence, which has one camera_info.yaml"
             raise InputError(frame.dataset.frame_path(frame.index), problem, key="camera")
         contents = _contents(job, frame, geometry, depth_of(frame, geometry))
         for kind in kinds:
             (place / kind / f"{frame.name}.png").write_bytes(contents[kind]())
-        poses.append(camera.pose)
+        poses.append(geometry.camera.pose)
     assert first is not None  # no group is empty
     return first, poses
 
