@@ -28,6 +28,9 @@ class OrganClass(IntEnum):
     CUT = 7
 
 
+PLANT_CLASSES: Final = frozenset(OrganClass) - {OrganClass.BACKGROUND, OrganClass.WIRE}
+"""Classes of organs, without the twine that holds them."""
+
 CLASS_COLOURS: Final[tuple[tuple[int, int, int], ...]] = (
     (0, 0, 0),
     (0, 49, 245),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pepperscene import FrameRenderer, load_recipe, render_scene
+from pepperscene import FrameRenderer, load_recipe, open_scene, render_scene
+from pepperscene.classes import PLANT_CLASSES
 from pepperscene.errors import InputError
 from pepperscene.recipe.plan import frame_seed
 from pepperscene.tuning.target import TuningTarget
@@ -17,6 +18,7 @@ CHANGES = {
     "camera.height": 48,
     "camera.exposure_us": "auto",
     "auto_exposure.target_grey": 60.0,
+    "auto_exposure.metering": "subject",
 }
 
 
@@ -34,7 +36,22 @@ def test_camera_of_a_frame_has_its_metered_exposure(renderer):
     seed = frame_seed(renderer.recipe.seed, spec.index)
     again = render_scene(renderer.scene(spec), camera, ["colour"], "draft", seed)
     assert np.array_equal(again["colour"], frame["colour"])
-    assert frame.metadata["auto_exposure"]["limited_by"] is None
+    assert frame.metadata["auto_exposure"]["metering"] == "subject"
+
+
+@pytest.mark.long
+def test_cameras_of_a_rig_and_of_an_open_scene_meter_their_own_subject():
+    away = {"name": "away", "rotation_deg": [180.0, 0.0, 0.0]}
+    recipe = load_recipe("barth2018", {**CHANGES, "rig": [away], "views.kind": "arc"})
+    renderer = FrameRenderer(recipe)
+    found = {}
+    for index in (250, 251):
+        frame = renderer.render(recipe.plan.frame(index), ["colour", "class"], "draft")
+        name = "plants" if np.isin(frame["class"], list(PLANT_CLASSES)).any() else "none"
+        found[name] = frame.metadata["auto_exposure"]["metering"]
+    assert found == {"plants": "subject", "none": "average"}
+    described = open_scene(recipe, 250).render(outputs=("colour",)).metadata
+    assert described["auto_exposure"]["metering"] == "subject"
 
 
 def test_camera_without_photographs_is_not_metered(renderer):

@@ -188,6 +188,87 @@ def test_centre_metering_exposes_the_middle():
     assert abs(greys["centre"][0]) < abs(greys["average"][0])
 
 
+SUBJECT = np.zeros(NONE.shape[:2], bool)
+SUBJECT[40:80, 56:104] = True  # a tenth of the area
+
+
+def metered(light, metering, subject=SUBJECT, **control):
+    """The choice, and the developed image with it."""
+    chosen = choose_exposure(CAMERA, light, NONE, ExposureControl(metering=metering, **control), subject)
+    used = with_exposure(CAMERA, chosen)
+    return chosen, develop(expected_electrons(light, used), used)
+
+
+def test_uniform_light_is_exposed_the_same_with_all_weights():
+    light = grey_card(100.0)
+    chosen = [metered(light, metering)[0] for metering in ("average", "centre", "subject")]
+    assert {round(one.exposure_s / chosen[0].exposure_s, 3) for one in chosen} == {1.0}
+    assert chosen[0].grey == pytest.approx(110.0, rel=1.1e-3)
+
+
+@pytest.mark.parametrize("factor", [0.05, 5.0])
+def test_subject_has_the_wanted_grey_before_any_background(factor):
+    light = grey_card(20.0)
+    light[SUBJECT] *= factor
+    chosen, image = metered(light, "subject", longest_s=1.0)
+    assert chosen.exposure_s == pytest.approx(linear_value(110.0) / (20.0 * factor), rel=5e-3)
+    assert image[SUBJECT].mean() == pytest.approx(110.0, abs=0.6)
+    assert (chosen.metering, chosen.limited_by) == ("subject", None)
+    assert chosen.saturated == 0.0
+
+
+def test_without_a_subject_the_average_is_metered():
+    light = grey_card(20.0)
+    light[SUBJECT] *= 5.0
+    average = metered(light, "average")[0]
+    assert average.to_json().keys() == {"exposure_s", "gain", "grey", "limited_by"}
+    for subject in (None, np.zeros_like(SUBJECT)):
+        chosen, _ = metered(light, "subject", subject)
+        assert chosen.to_json() == average.to_json() | {"metering": "average", "saturated": 0.0}
+
+
+def ramp():
+    """Light that rises from 0 to 100 full wells per second over the subject; 1000 elsewhere."""
+    light = grey_card(1000.0)
+    rise = np.linspace(0.0, 100.0, SUBJECT.sum())
+    light[SUBJECT] = rise[:, None] * FULL_WELL_PER_S
+    return light
+
+
+@pytest.mark.parametrize("gain", [1.0, 4.0])
+def test_highlights_of_the_subject_are_as_bright_as_may_be(gain):
+    # The value below which all but 0.3 % of the subject is has the code 250, at any gain.
+    chosen, image = metered(ramp(), "highlights", longest_s=8e-3 if gain > 1 else 0.1, most_gain=gain + 1.0)
+    expected = linear_value(250.0) / (100.0 * (1 - 0.003))
+    assert chosen.exposure_s * chosen.gain == pytest.approx(expected, rel=3e-3)
+    assert 0.001 < chosen.saturated <= 0.003
+    assert (image[SUBJECT] == 255).any(axis=-1).mean() <= 0.003
+    assert chosen.limited_by is None
+    # Without a subject, all pixels count, of which the background is brighter.
+    darker, image = metered(ramp(), "highlights", None)
+    assert darker.exposure_s == pytest.approx(linear_value(250.0) / 1000.0, rel=3e-3)
+    assert image.max() < 255
+
+
+def test_subject_with_highlights_is_darker_than_the_target():
+    chosen, image = metered(ramp(), "subject", target_grey=220.0)
+    assert chosen.limited_by == "highlights"
+    assert replace(chosen, limited_by=None, metering="highlights") == metered(ramp(), "highlights")[0]
+    assert (image[SUBJECT] == 255).any(axis=-1).mean() <= 0.003
+    assert image[SUBJECT].mean() == pytest.approx(chosen.grey, abs=1.0)
+
+
+def test_highlights_keep_to_the_limits():
+    at = {"metering": "highlights", "subject": None}
+    dim = metered(grey_card(1.0), **at)[0]
+    assert (dim.exposure_s, dim.gain, dim.limited_by) == (10e-3, 4.0, "longest exposure and gain")
+    bright = metered(grey_card(1e6), **at)[0]
+    assert (bright.exposure_s, bright.limited_by) == (10e-6, "shortest exposure")
+    assert metered(NONE, **at)[0].limited_by == "no light"
+    with pytest.raises(ValueError, match=r"subject must be an image \(120, 160\), not \(2, 2\)"):
+        metered(grey_card(1.0), "subject", np.ones((2, 2)))
+
+
 @pytest.mark.parametrize(
     ("shape", "reduced"),
     [((800, 600), (320, 240)), ((64, 48), (64, 48)), ((2000, 2), (2000, 2))],

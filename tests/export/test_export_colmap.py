@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from colmap_text import Model, rotation_of
+from test_export_ply import load as load_points
 from traced_set import IGNORED, LENSES, check_seed_points, image_points, intersect, visible_pixels
 
 from pepperscene.camera import read_poses
@@ -72,6 +73,21 @@ def test_tracks_are_consistent_exact_and_not_occluded(lens, exported):
     assert np.mean(tracks) > 2
     assert max(tracks) == len(model.images)
     assert {point[2] for point in model.points.values()} == {0.0}
+
+
+@pytest.mark.parametrize("lens", ["brown", "fisheye"])
+def test_points_are_in_pixels_of_their_own_organ(lens, traced, exported):
+    dataset, out = traced(lens), exported("colmap", lens)
+    model, cloud = Model(out), load_points(out / "sparse/0/points3D.ply")
+    position = np.array([point[0] for point in model.points.values()])
+    np.testing.assert_allclose(np.column_stack([cloud[name] for name in "xyz"]), position, atol=1e-6)
+    row_of = {number: row for row, number in enumerate(model.points)}
+    for index, (_, _, _, observed) in zip(dataset.indices(), model.images.values(), strict=True):
+        rows = [row_of[int(point)] for point in observed[:, 2]]
+        x, y = observed[:, :2].astype(int).T
+        for name in ("class", "instance"):
+            # Only at the outline of the sphere can a pixel within the tolerance of the distance be another's.
+            assert (dataset.image(index, name)[y, x] == cloud[name][rows]).mean() > 0.998
 
 
 def test_images_are_copied_and_poses_are_read_back(traced, exported):

@@ -15,9 +15,11 @@ from pepperscene.camera import (
     ExposureControl,
     Partners,
     expected_electrons,
+    look_at,
     metering_camera,
     with_exposure,
 )
+from pepperscene.classes import PLANT_CLASSES
 from pepperscene.outputs import DEFAULT_OUTPUTS
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.metering import metered_light
@@ -73,6 +75,41 @@ def test_rendered_image_has_the_wanted_mean_grey(renderer, name, target):
     assert (described["target_grey"], described["limited_by"]) == (target, None)
     assert described["grey"] == pytest.approx(target, rel=2e-3)
     assert frame["colour"].mean() == pytest.approx(target, rel=0.05)
+
+
+@pytest.mark.parametrize("metering", ["subject", "highlights"])
+def test_plants_are_metered_and_not_saturated(renderer, metering):
+    control = replace(CONTROL, target_grey=140.0, metering=metering)
+    view = VIEWS["daylight"]
+    frame = renderer.render(view, ["colour", "class"], "standard", 3, exposure_control=control)
+    described = frame.metadata["auto_exposure"]
+    plant = frame["colour"][np.isin(frame["class"], list(PLANT_CLASSES))]
+    assert described["metering"] == metering
+    assert plant.mean() == pytest.approx(described["grey"], abs=2.0)
+    assert (plant == 255).any(axis=-1).mean() <= 0.01
+    if metering == "subject":
+        assert described["limited_by"] == "highlights" or plant.mean() == pytest.approx(140.0, abs=2.0)
+
+
+def test_view_without_plants_is_metered_as_a_whole(renderer):
+    # Straight up, into the sky.
+    view = replace(photographer(flash=False), pose=look_at((0.0, 0.0, 5.0), (0.0, 0.1, 9.0)))
+    average, subject = (
+        renderer.meter(view, replace(CONTROL, metering=metering)).to_json()
+        for metering in ("average", "subject")
+    )
+    assert subject == average | {"metering": "average", "saturated": subject["saturated"]}
+
+
+def test_imagers_of_a_depth_camera_are_exposed_for_plants(renderer):
+    greys = {}
+    for metering in ("average", "subject"):
+        depth = replace(partners().depth, exposure_control=ExposureControl(60.0, metering=metering))
+        image = renderer.render(camera(), ["imager_left"], "draft", 3, partners=Partners(depth=depth))
+        classes = renderer.render(depth.left, ["class"])["class"]
+        greys[metering] = image["imager_left"][np.isin(classes, list(PLANT_CLASSES))].mean()
+    assert greys["subject"] == pytest.approx(60.0, abs=3.0)
+    assert abs(greys["average"] - 60.0) > 10.0
 
 
 def test_flash_of_a_night_scene_is_metered_during_its_pulse(renderer):

@@ -127,6 +127,14 @@ def colour_of(position):
     return np.where(np.isfinite(position), colour, [40, 60, 200]).astype(np.uint8)
 
 
+def blurred_coverage(classes):
+    """`(h, w, 8)` the shares of the classes in squares of 3 pixels, in 64ths that sum to 1."""
+    one_hot = (classes[..., None] == np.arange(8)).astype(float)
+    shares = np.floor(64 * cv2.blur(one_hot, (3, 3))) / 64
+    shares[..., 0] += 1 - shares.sum(axis=-1)
+    return shares.astype(np.float16)
+
+
 class Tracer(SceneStandIn):
     """Traces a frame through the lens of its recipe."""
 
@@ -142,6 +150,8 @@ class Tracer(SceneStandIn):
             for value, organ_class, kind in ((FRUIT, 2, "fruit"), (LEAF, 1, "lamina"), (IGNORED, 1, "lamina"))
             if (images["instance"] == value).any()
         }  # fmt: skip
+        if "coverage" in outputs:
+            images["coverage"] = blurred_coverage(images["class"])
         if self.ignores:
             images["class"][images["instance"] == IGNORED] = 255
         metadata = {"camera": {**camera.to_metadata(), **(self.rolling or {})}, "instances": entries}

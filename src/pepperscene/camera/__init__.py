@@ -5,7 +5,6 @@ from pepperscene.camera.image.auto_exposure import (
     ChosenExposure,
     ExposureControl,
     choose_exposure,
-    metering_camera,
     with_exposure,
 )
 from pepperscene.camera.image.developing import (
@@ -31,6 +30,7 @@ from pepperscene.camera.image.electrons import (
     relative_illumination,
     stray_light_factor,
 )
+from pepperscene.camera.image.metered_image import SUBJECT_METERINGS, Metering, metering_camera
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.optics.flash import Flash, load_flash
 from pepperscene.camera.optics.lens import AngularProfile, Ghost, Lens, StrayLight, load_lens
@@ -49,6 +49,7 @@ from pepperscene.camera.stereo.depth_camera import DepthCamera, Partners, Stereo
 from pepperscene.camera.stereo.depth_images import MatchedDepth, align_depth, match_depth
 
 __all__ = [
+    "SUBJECT_METERINGS",
     "AngularProfile",
     "Band",
     "Camera",
@@ -64,6 +65,7 @@ __all__ = [
     "Ghost",
     "Lens",
     "MatchedDepth",
+    "Metering",
     "Motion",
     "Partners",
     "PoseFormat",

@@ -138,6 +138,12 @@ class ExportSelection:
         Option("Frames per second of mcap. Default: the speed of the recipe's path, else 1.", "HZ"),
     ] = None
     truncated: Annotated[str, Option("Objects that the image border may cut.", "keep|drop")] = "keep"
+    mask: Annotated[
+        str | None,
+        Option("Foreground of masks, points and depths: plant, fruit, or classes (leaf+stem).", "TEXT"),
+    ] = None
+    alpha: Annotated[bool, Option("Add the share of the foreground to pictures as a fourth channel.")] = False
+    undistort: Annotated[bool, Option("Resample images to those of a pinhole camera.")] = False
 
     def arguments(self) -> dict[str, Any]:
         """Arguments of `export_dataset`."""

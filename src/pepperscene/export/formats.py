@@ -36,6 +36,7 @@ class ExportFormat:
     has_masks: bool = False  # whether ignored pixels, if there can be some, are written as masks
     has_clock: bool = False  # whether frames have times
     has_crowds: bool = True  # whether fruit of unknown ripeness is marked as such, not left out
+    image_options: frozenset[str] = frozenset()  # of `export_dataset` that change its images
 
     def write(self, job: ExportJob, folder: Path) -> None:
         """Write the files of an export into a folder."""
@@ -61,7 +62,23 @@ _YOLO: Final = ExportFormat(
     has_crowds=False,
 )  # fmt: skip
 
-_SCENES: Final = ExportFormat("", "", _DEPTH, module="reconstruction", has_masks=True)
+_SCENES: Final = ExportFormat(
+    "",
+    "",
+    _DEPTH,
+    "with `class` and `instance` also these of seed points",
+    module="reconstruction",
+    has_masks=True,
+    image_options=frozenset({"mask", "alpha", "undistort"}),
+)
+
+_RGBD: Final = ExportFormat(
+    "rgbd",
+    "RGB-D sequences as of TUM, with ROS's `camera_info`",
+    (DEPTH_OUTPUTS,),
+    "with `colour` also photographs",
+    image_options=frozenset({"mask", "undistort"}),
+)
 
 _ALL: Final = (
     ExportFormat(
@@ -105,12 +122,19 @@ _ALL: Final = (
     ),
     replace(_SCENES, name="nerfstudio", description="`transforms.json` for radiance fields and splats"),
     replace(_SCENES, name="colmap", description="a COLMAP model with seed points and their tracks"),
-    ExportFormat("ply", "a labelled point cloud of each frame", _LABELLED_DEPTH, module="reconstruction"),
-    ExportFormat("rgbd", "RGB-D sequences as of TUM, with ROS's `camera_info`", _DEPTH),
     ExportFormat(
-        "rgbd_sensor",
-        "the same with the depth of a depth camera, noise and holes included",
-        (*_COLOUR, ("depth_sensor",)),
+        "ply",
+        "a labelled point cloud of each frame",
+        _LABELLED_DEPTH,
+        module="reconstruction",
+        image_options=frozenset({"mask"}),
+    ),
+    _RGBD,
+    replace(
+        _RGBD,
+        name="rgbd_sensor",
+        description="the same with the depth of a depth camera, noise and holes included",
+        required=(("depth_sensor",),),
         module="rgbd",
     ),
     ExportFormat(

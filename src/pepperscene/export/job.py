@@ -15,6 +15,7 @@ from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import has_ignored_pixels
+from pepperscene.export.image_options import ImageOptions
 from pepperscene.recipe.plan import FrameSpec, Plan
 
 OnFrame = Callable[[int, int, int], None]
@@ -30,6 +31,7 @@ class ExportJob:
     selection: Selection = Selection()  # noqa: RUF009 - it is frozen
     on_frame: OnFrame | None = None
     frame_rate_hz: float | None = None  # of formats with a clock; None for that of the views
+    images: ImageOptions = ImageOptions()  # noqa: RUF009 - it is frozen
 
     @cached_property
     def plan(self) -> Plan:
@@ -40,6 +42,11 @@ class ExportJob:
     def has_ignored_pixels(self) -> bool:
         """Whether frames can have pixels that training and evaluation must ignore."""
         return has_ignored_pixels(self.dataset.info)
+
+    @property
+    def has_masks(self) -> bool:
+        """Whether images for reconstruction have masks."""
+        return self.has_ignored_pixels or self.images.foreground is not None
 
     @cached_property
     def split_of(self) -> dict[int, str]:

@@ -1,8 +1,8 @@
 """Scenes for reconstruction: nerfstudio's transforms.json, COLMAP's text model, and point clouds.
 
 Formats: https://docs.nerf.studio/quickstart/data_conventions.html; https://colmap.github.io/format.html,
-https://colmap.github.io/cameras.html; PLY: G. Turk, "The PLY polygon file format", Stanford University, 1994,
-https://paulbourke.net/dataformats/ply/.
+https://colmap.github.io/cameras.html; what 3D Gaussian splatting reads of a COLMAP model:
+https://github.com/graphdeco-inria/gaussian-splatting, `scene/dataset_readers.py`.
 """
 
 from __future__ import annotations
@@ -32,75 +32,51 @@ from pepperscene.export.job import (
     open_groups,
     scene_groups,
     scene_splits,
-    training_frames,
     write_json,
     write_table,
 )
+from pepperscene.export.points import LABELS, SeedPoints, point_file, seed_points
 from pepperscene.export.surface import (
     MILLIMETRES,
-    SEED_POINTS,
     RangeImage,
-    SeedPoints,
     mask_png,
+    picture_png,
     read_colour,
+    read_geometry,
     read_label,
     read_surface,
-    seed_points,
+    read_view,
 )
 
 _COLUMNS: Final = ("index", "set", "rotation", "step", "split", "file")
-_COLOURS: Final = ("red", "green", "blue")
-_LABELS: Final = ("class", "instance")
 
 
 def write_ply(job: ExportJob, folder: Path) -> None:
     """Write `points/000110.ply` of each frame, and `frames.csv`, which gives its split.
 
     A point is a pixel with a surface: its centre's world coordinates `x`, `y`, `z` in metres, its colour
-    `red`, `green`, `blue`, its `class` id and its `instance`.
+    `red`, `green`, `blue`, its `class` id and its `instance`. With a foreground, only its pixels are points.
     """
     (folder / "points").mkdir()
 
     def write_clouds() -> Iterator[dict[str, Any]]:
         for frame in job.frames():
             name = f"points/{frame.name}.ply"
-            (folder / name).write_bytes(_point_cloud(frame))
+            (folder / name).write_bytes(_point_cloud(frame, job.images.foreground))
             yield {**frame.metadata, "split": job.split_of[frame.index], "file": name}
 
     write_table(folder / "frames.csv", _COLUMNS, write_clouds())
 
 
-def _point_cloud(frame: DatasetFrame) -> bytes:
+def _point_cloud(frame: DatasetFrame, foreground: frozenset[int] | None) -> bytes:
     surface = read_surface(frame, allows_line_scan=True)
-    colour, labels = read_colour(frame, surface), {name: read_label(frame, name, surface) for name in _LABELS}
-    rows, columns = np.nonzero(np.isfinite(surface.distance))
+    colour, labels = read_colour(frame, surface), {name: read_label(frame, name, surface) for name in LABELS}
+    is_point = np.isfinite(surface.distance)
+    if foreground is not None:
+        is_point &= np.isin(labels["class"], sorted(foreground))
+    rows, columns = np.nonzero(is_point)
     extra = {name: image[rows, columns] for name, image in labels.items()}
     return point_file(surface.points(rows, columns), colour[rows, columns], **extra)
-
-
-def point_file(
-    position: NDArray[np.floating[Any]], colour: NDArray[np.uint8], **extra: NDArray[Any]
-) -> bytes:
-    """A binary PLY file of points.
-
-    Args:
-        position: `(n, 3)` metres, stored in single precision.
-        colour: `(n, 3)` uint8.
-        extra: more properties by name, each `(n,)` of uint8 or uint16.
-    """
-    columns = dict(zip("xyz", np.asarray(position, "<f4").T, strict=True))
-    columns |= dict(zip(_COLOURS, colour.T, strict=True))
-    columns |= {name: values.astype(values.dtype.newbyteorder("<")) for name, values in extra.items()}
-    names = {"f": "float", "u1": "uchar", "u2": "ushort"}
-    properties = [
-        f"property {names.get(values.dtype.str[1:], names.get(values.dtype.kind))} {name}"
-        for name, values in columns.items()
-    ]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(position)}", *properties]
-    table = np.empty(len(position), [(name, values.dtype) for name, values in columns.items()])
-    for name, values in columns.items():
-        table[name] = values
-    return "\n".join([*header, "end_header", ""]).encode("ascii") + table.tobytes()
 
 
 _POINT_FILE: Final = "seed_points.ply"
@@ -109,13 +85,14 @@ _POINT_FILE: Final = "seed_points.ply"
 def write_nerfstudio(job: ExportJob, folder: Path) -> None:
     """Write `transforms.json`, `images/000110.png`, `depths/000110.png` and `seed_points.ply` of each scene.
 
-    Every frame has its own intrinsics. Depths are along the optical axis, in millimetres, 0 for none. If
-    frames can have ignored pixels, `masks/000110.png` is 0 there and 255 elsewhere. Splits are lists of
-    images, `train_filenames` and so on; seed points are from frames of the split `train`.
+    Every frame has its own intrinsics. Depths are along the optical axis, in millimetres, 0 for none. With a
+    foreground, `masks/000110.png` is 255 there and 0 elsewhere; without one, if frames can have ignored
+    pixels, it is 0 there. Splits are lists of images, `train_filenames` and so on; seed points are from
+    frames of the split `train`.
     """
     for place, indices, frames in open_groups(job, folder, scene_groups(job)):
-        points = seed_points(training_frames(job, indices), SEED_POINTS, skip_ignored=job.has_ignored_pixels)
-        (place / _POINT_FILE).write_bytes(point_file(points.position, points.colour))
+        points = seed_points(job, indices)
+        (place / _POINT_FILE).write_bytes(points.file(np.arange(len(points.position)), has_normals=False))
         content = _transforms(job, indices, _write_frames(job, place, frames))
         write_json(place / "transforms.json", content)
 
@@ -136,21 +113,21 @@ def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[s
 
 def _write_frames(job: ExportJob, place: Path, frames: Iterable[DatasetFrame]) -> list[dict[str, Any]]:
     """Write the images of a scene, and return their entries in `frames`."""
-    folders = ["images", "depths", *(["masks"] if job.has_ignored_pixels else [])]
+    folders = ["images", "depths", *(["masks"] if job.has_masks else [])]
     for name in folders:
         (place / name).mkdir()
     entries: list[dict[str, Any]] = []
     for frame in frames:
-        surface, file = read_surface(frame), f"{frame.name}.png"
-        contents = {"images": frame.content("colour"), "depths": surface.depth_png()}
-        if job.has_ignored_pixels:
-            contents["masks"] = mask_png(frame, surface)
+        surface, file = read_view(frame, read_geometry(frame, job.images)), f"{frame.name}.png"
+        contents = {"images": picture_png(frame, surface, job.images), "depths": surface.depth_png()}
+        if job.has_masks:
+            contents["masks"] = mask_png(frame, surface, job.images.foreground)
         for name, content in contents.items():
             (place / name / file).write_bytes(content)
         entry = nerfstudio_frame(f"images/{file}", surface.camera.pose) | {
             "depth_file_path": f"depths/{file}"
         }
-        if job.has_ignored_pixels:
+        if job.has_masks:
             entry["mask_path"] = f"masks/{file}"
         try:
             entry |= nerfstudio_intrinsics(surface.camera)
@@ -177,6 +154,10 @@ class _Tracks:
     points: list[NDArray[np.int64]] = field(default_factory=list)  # numbers of points, from 0
     errors: list[NDArray[np.float64]] = field(default_factory=list)  # of the reprojection, pixels
 
+    def seen(self) -> NDArray[np.int64]:
+        """The numbers of the points that an image shows, ascending."""
+        return np.unique(np.concatenate([np.empty(0, np.int64), *self.points]))
+
     def text(self, seeds: SeedPoints) -> str:
         """The content of points3D.txt."""
         sizes = [len(points) for points in self.points]
@@ -202,13 +183,13 @@ def write_colmap(job: ExportJob, folder: Path) -> None:
     """Write `images/000110.png` and the text model `sparse/0` of each scene.
 
     Equal cameras share an entry of `cameras.txt`. The track of a seed point are the images of the scene
-    that show it. If frames can have ignored pixels, `masks/000110.png.png` is 0 there and 255 elsewhere, as
-    COLMAP's feature extractor reads it. Splits are lists of images, `train_list.txt` and so on, as nerfstudio
-    reads them; seed points are from frames of the split `train`.
+    that show it. `masks/000110.png.png` are those of `write_nerfstudio`, as COLMAP's feature extractor reads
+    them. `points3D.ply` has the points of `points3D.txt` and their labels; 3D Gaussian splatting reads it, if
+    the camera is a pinhole. Splits are lists of images, `train_list.txt` and so on, as nerfstudio reads them;
+    seed points are from frames of the split `train`.
     """
     for place, indices, frames in open_groups(job, folder, scene_groups(job)):
-        seeds = seed_points(training_frames(job, indices), SEED_POINTS, skip_ignored=job.has_ignored_pixels)
-        _write_scene(job, place, seeds, frames)
+        _write_scene(job, place, seed_points(job, indices), frames)
         _write_splits(place, scene_splits(job, indices))
 
 
@@ -220,16 +201,17 @@ def _write_splits(place: Path, splits: Mapping[str, Sequence[int]]) -> None:
 
 def _write_scene(job: ExportJob, place: Path, seeds: SeedPoints, frames: Iterable[DatasetFrame]) -> None:
     model = place / "sparse" / "0"
-    for new in (place / "images", model, *([place / "masks"] if job.has_ignored_pixels else [])):
+    for new in (place / "images", model, *([place / "masks"] if job.has_masks else [])):
         new.mkdir(parents=True)
     tracks, cameras = _Tracks(), dict[str, int]()
     with (model / "images.txt").open("w", encoding="utf-8", newline="\n") as file:
         file.write(COLMAP_IMAGES)
         for number, frame in enumerate(frames, start=1):
-            surface, name = read_surface(frame), f"{frame.name}.png"
-            (place / "images" / name).write_bytes(frame.content("colour"))
-            if job.has_ignored_pixels:
-                (place / "masks" / f"{name}.png").write_bytes(mask_png(frame, surface))
+            surface, name = read_view(frame, read_geometry(frame, job.images)), f"{frame.name}.png"
+            (place / "images" / name).write_bytes(picture_png(frame, surface, job.images))
+            if job.has_masks:
+                content = mask_png(frame, surface, job.images.foreground)
+                (place / "masks" / f"{name}.png").write_bytes(content)
             # A camera is its line without the number.
             _, _, parameters = colmap_camera(surface.camera).partition(" ")
             camera = cameras.setdefault(parameters, len(cameras) + 1)
@@ -238,6 +220,7 @@ def _write_scene(job: ExportJob, place: Path, seeds: SeedPoints, frames: Iterabl
     lines = "".join(f"{number} {parameters}\n" for parameters, number in cameras.items())
     (model / "cameras.txt").write_text(COLMAP_CAMERAS + lines, encoding="utf-8")
     (model / "points3D.txt").write_text(tracks.text(seeds), encoding="utf-8")
+    (model / "points3D.ply").write_bytes(seeds.file(tracks.seen(), has_normals=True))
 
 
 def _observe(seeds: SeedPoints, surface: RangeImage, tracks: _Tracks) -> str:

@@ -12,12 +12,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera
 from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, IGNORE_COLOUR, OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.export.job import ExportJob, open_groups, sequence_groups
+from pepperscene.export.pinhole import PinholeImages
 from pepperscene.export.surface import MAX_MM, MILLIMETRES, read_colour, read_label, read_surface
 from pepperscene.libraries import import_library
 
@@ -105,46 +105,3 @@ def _boxes(rerun: Any, frame: DatasetFrame, selection: Selection, instance: NDAr
         labels=[f"{entries[str(value)]['kind']} {value}" for value in boxes],
         show_labels=False,
     )
-
-
-class PinholeImages:
-    """Resamples images of a camera to the pinhole camera with the same intrinsic matrix and size.
-
-    Args:
-        camera: of the images.
-    """
-
-    def __init__(self, camera: Camera) -> None:
-        self.is_identity = camera.lens.distortion.is_zero
-        if self.is_identity:
-            return
-        matrix, distortion = camera.intrinsics, camera.lens.distortion
-        v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-        slopes = np.stack([(u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]], axis=-1)
-        inside = np.hypot(*np.moveaxis(slopes, -1, 0)) < distortion.fold_radius
-        distorted = distortion.distort(np.where(inside[..., None], slopes, 0.0))
-        # Indices of pixels: the centre of the first one is at 0.5.
-        self._column = distorted[..., 0] * matrix[0, 0] + matrix[0, 2] - 0.5
-        self._row = distorted[..., 1] * matrix[1, 1] + matrix[1, 2] - 0.5
-        inside &= (np.rint(self._column) >= 0) & (np.rint(self._column) < camera.width)
-        self._inside = inside & (np.rint(self._row) >= 0) & (np.rint(self._row) < camera.height)
-
-    def resample(self, image: NDArray[Any], outside: Any) -> NDArray[Any]:
-        """`(h, w)` an image by the nearest pixels, with the value `outside` beyond it."""
-        if self.is_identity:
-            return image
-        result = np.full(image.shape, outside, image.dtype)
-        rows, columns = (np.rint(axis[self._inside]).astype(np.intp) for axis in (self._row, self._column))
-        result[self._inside] = image[rows, columns]
-        return result
-
-    def resample_colour(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """`(h, w, 3)` a photograph, interpolated linearly, black beyond it."""
-        from scipy.ndimage import map_coordinates
-
-        channels = [
-            map_coordinates(image[..., k].astype(float), [self._row, self._column], order=1, mode="nearest")
-            for k in range(image.shape[2])
-        ]
-        smooth = np.where(self._inside[..., None], np.stack(channels, axis=-1), 0.0)
-        return np.rint(smooth).astype(np.uint8)

@@ -20,13 +20,24 @@ from pepperscene.camera.optics.calibration import CENTRE_OF_FIRST_PIXEL
 from pepperscene.camera.optics.distortion import MODELS
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import InputError
-from pepperscene.export.job import ExportJob, open_groups, sequence_groups
-from pepperscene.export.surface import depth_png, read_surface, recorded_camera, size_error
+from pepperscene.export.job import ExportJob, open_groups, sequence_groups, write_json
+from pepperscene.export.surface import (
+    MILLIMETRES,
+    ImageGeometry,
+    depth_png,
+    mask_png,
+    picture_png,
+    read_geometry,
+    read_label,
+    read_view,
+    valid_pixels,
+)
 
 STEP_S: Final = 1.0
 """Time from a step to the next. Chosen: a data set has no clock."""
 
-_IMAGES: Final = ("rgb", "depth")
+DepthOf = Callable[[DatasetFrame, ImageGeometry], NDArray[np.floating[Any]]]
+"""The depths `(h, w)` of a frame in metres, as its exported images show them."""
 
 
 def write_rgbd(job: ExportJob, folder: Path) -> None:
@@ -34,59 +45,73 @@ def write_rgbd(job: ExportJob, folder: Path) -> None:
 
     A sequence is a scene as one camera of one split sees it. Its time is the step of a frame, in seconds.
     `rgb.txt` and `depth.txt` list the images by time, `associations.txt` their pairs, and `groundtruth.txt`
-    the poses, camera to world. Depths are along the optical axis, in millimetres, 0 for none.
+    the poses, camera to world. Depths are along the optical axis, in millimetres, which `depth.json` says, 0
+    for none. With a foreground, they are 0 outside it, and `mask/000110.png` is 255 inside. Without
+    photographs in all frames, there is nothing of `rgb`.
     """
-    _write_sequences(job, folder, lambda frame, _: read_surface(frame).depth_png())
+    _write_sequences(job, folder, lambda frame, geometry: read_view(frame, geometry).depth_z)
 
 
 def write_rgbd_sensor(job: ExportJob, folder: Path) -> None:
     """Write the files of `write_rgbd` with the depths that a depth camera measured; 0 in its holes."""
-    _write_sequences(job, folder, _measured_png)
+    _write_sequences(job, folder, lambda frame, view: read_label(frame, "depth_sensor", view))
 
 
-def _measured_png(frame: DatasetFrame, camera: Camera) -> bytes:
-    depth = frame.image("depth_sensor")
-    if depth.shape != (camera.height, camera.width):
-        path = frame.dataset.path(frame.index, "depth_sensor")
-        raise size_error(path, (camera.height, camera.width), depth.shape)
-    return depth_png(depth)
-
-
-def _write_sequences(job: ExportJob, folder: Path, depth_of: Callable[[DatasetFrame, Camera], bytes]) -> None:
-    """Write all files; `depth_of` makes the content of the depth image of a frame with its camera."""
+def _write_sequences(job: ExportJob, folder: Path, depth_of: DepthOf) -> None:
+    """Write all files."""
     for place, indices, frames in open_groups(job, folder, sequence_groups(job)):
         times = [STEP_S * job.plan.frame(index).step for index in indices]
-        camera, poses = _write_images(place, frames, depth_of)
+        kinds = ["rgb"] if job.common_outputs(["colour"]) else []
+        kinds += ["depth"] if job.images.foreground is None else ["depth", "mask"]
+        camera, poses = _write_images(job, place, kinds, frames, depth_of)
         (place / "camera_info.yaml").write_text(_camera_info(camera), encoding="utf-8")
+        write_json(place / "depth.json", {"depth_scale_m": 1 / MILLIMETRES})
         write_poses(place / "groundtruth.txt", PoseList(np.array(poses), np.array(times)), "tum")
-        _write_tables(place, times, [f"{index:06d}.png" for index in indices])
+        _write_tables(place, kinds, times, [f"{index:06d}.png" for index in indices])
 
 
 def _write_images(
-    place: Path, frames: Iterable[DatasetFrame], depth_of: Callable[[DatasetFrame, Camera], bytes]
+    job: ExportJob, place: Path, kinds: Sequence[str], frames: Iterable[DatasetFrame], depth_of: DepthOf
 ) -> tuple[Camera, list[Any]]:
     """Write the images of a sequence, and return its camera and poses; the camera must be one."""
-    for name in _IMAGES:
-        (place / name).mkdir()
+    for kind in kinds:
+        (place / kind).mkdir()
     first: Camera | None = None
     poses = []
     for frame in frames:
-        camera = recorded_camera(frame)
-        first = first or camera
-        if _camera_info(camera) != _camera_info(first):
+        geometry = read_geometry(frame, job.images)
+        first = first or geometry.camera
+        if _camera_info(geometry.camera) != _camera_info(first):
             problem = "must be the same in all frames of a sequence, which has one camera_info.yaml"
             raise InputError(frame.dataset.frame_path(frame.index), problem, key="camera")
-        (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
-        (place / "depth" / f"{frame.name}.png").write_bytes(depth_of(frame, camera))
-        poses.append(camera.pose)
+        contents = _contents(job, frame, geometry, depth_of(frame, geometry))
+        for kind in kinds:
+            (place / kind / f"{frame.name}.png").write_bytes(contents[kind]())
+        poses.append(geometry.camera.pose)
     assert first is not None  # no group is empty
     return first, poses
 
 
-def _write_tables(place: Path, times: Sequence[float], files: Sequence[str]) -> None:
-    for name in _IMAGES:
-        rows = [f"{time:.6f} {name}/{file}" for time, file in zip(times, files, strict=True)]
-        _write_lines(place / f"{name}.txt", ["# timestamp filename", *rows])
+def _contents(
+    job: ExportJob, frame: DatasetFrame, geometry: ImageGeometry, depth: NDArray[np.floating[Any]]
+) -> dict[str, Callable[[], bytes]]:
+    """What makes the content of each kind of image of a frame."""
+    foreground = job.images.foreground
+    if foreground is not None:
+        depth = np.where(valid_pixels(frame, geometry, foreground), depth, np.inf)
+    return {
+        "rgb": lambda: picture_png(frame, geometry, job.images),
+        "depth": lambda: depth_png(depth),
+        "mask": lambda: mask_png(frame, geometry, foreground),
+    }
+
+
+def _write_tables(place: Path, kinds: Sequence[str], times: Sequence[float], files: Sequence[str]) -> None:
+    for kind in kinds:
+        rows = [f"{time:.6f} {kind}/{file}" for time, file in zip(times, files, strict=True)]
+        _write_lines(place / f"{kind}.txt", ["# timestamp filename", *rows])
+    if "rgb" not in kinds:
+        return
     pairs = [
         f"{time:.6f} rgb/{file} {time:.6f} depth/{file}" for time, file in zip(times, files, strict=True)
     ]

@@ -28,6 +28,7 @@ from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.recorded_values import fruit_name, recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.export.formats import FORMATS, ExportFormat
+from pepperscene.export.image_options import ImageOptions, parse_foreground
 from pepperscene.export.job import ExportJob, OnFrame
 from pepperscene.libraries import import_library
 from pepperscene.recipe.plan import Plan
@@ -75,6 +76,9 @@ def export_dataset(
     ripe_from: float | None = None,
     truncated: str = "keep",
     frame_rate_hz: float | None = None,
+    mask: str | None = None,
+    alpha: bool = False,
+    undistort: bool = False,
 ) -> ExportResult:
     """Write a data set in another format.
 
@@ -97,6 +101,12 @@ def export_dataset(
         frame_rate_hz: of the frames of a bag; None for the speed of the recipe's path or arc, or one second
             for each step of views without a speed.
         truncated: "keep", or "drop": an organ that the image border may cut is not a separate object.
+        mask: "plant", "fruit" or classes such as "leaf+stem": what masks of images show, and the only points
+            and depths. None for all that is not ignored.
+        alpha: whether pictures have a fourth channel with the share of each pixel that shows the mask's
+            classes, or else plants.
+        undistort: whether images are resampled to those of a pinhole camera with its principal point in the
+            middle.
 
     Raises:
         InputError: there is no data set or frame, an argument is invalid, an output missing, a file damaged.
@@ -110,6 +120,7 @@ def export_dataset(
     options |= {"ripe_from": ripe_from, "truncated": None if truncated == KEEP else truncated}
     _check_options(options, export_format)
     _check_frame_rate(frame_rate_hz, export_format)
+    images = _image_options(export_format, mask, alpha, undistort)
     dataset = open_dataset(folder)
     read_info(dataset)
     selection = _make_selection(options, export_format, dataset.info)
@@ -119,7 +130,7 @@ def export_dataset(
         if name in export_format.reserved:
             problem = f"{name} is not allowed in the format {format_name}, which uses the name otherwise"
             raise ArgumentError("split", problem)
-    job = ExportJob(dataset, members, selection, on_frame, frame_rate_hz)
+    job = ExportJob(dataset, members, selection, on_frame, frame_rate_hz, images)
     if export_format.library:
         import_library(export_format.library, export_format.extra)
     required = export_format.required
@@ -127,8 +138,10 @@ def export_dataset(
         required = (*required, ("harvest",))
     if selection.needs_organs:
         required = (*required, ("instance",))
-    if export_format.has_masks and job.has_ignored_pixels:
+    if (export_format.has_masks and job.has_ignored_pixels) or images.foreground is not None:
         required = (*required, ("class",))
+    if images.cut_out is not None:
+        required = (*required, ("class", "coverage"))
     _check_outputs(dataset, list(job.split_of), required)
     with new_folder(Path(out), dataset.folder) as temporary:
         export_format.write(job, temporary)
@@ -175,6 +188,18 @@ def _check_frame_rate(frame_rate_hz: float | None, export_format: ExportFormat) 
         raise ArgumentError("frame_rate", f"does not apply: frames of {export_format.name} have no times")
     if frame_rate_hz is not None and not low <= frame_rate_hz <= high:
         raise ArgumentError("frame_rate", f"{frame_rate_hz:g} must be {low:g} to {high:g} a second")
+
+
+def _image_options(
+    export_format: ExportFormat, mask: str | None, alpha: bool, undistort: bool
+) -> ImageOptions:
+    """The options of images; raises `ArgumentError` if one is not valid or does not apply to a format."""
+    for name, value in (("mask", mask), ("alpha", alpha), ("undistort", undistort)):
+        if value and name not in export_format.image_options:
+            formats = [one.name for one in FORMATS.values() if name in one.image_options]
+            raise ArgumentError(name, f"does not apply to {export_format.name}, only to {', '.join(formats)}")
+    cut_out = parse_foreground(mask or "plant") if alpha else None
+    return ImageOptions(None if mask is None else parse_foreground(mask), cut_out, undistort)
 
 
 def _make_selection(

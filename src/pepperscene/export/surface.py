@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,24 +16,42 @@ from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.export.formats import DEPTH_OUTPUTS
+from pepperscene.export.image_options import ImageOptions
+from pepperscene.export.pinhole import PinholeImages
 
 SEED_POINTS: Final = 20_000
 """Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
 
+_REACH_PX: Final = 5.0  # chosen: beyond, the nearest whole pixel is rarely of the same organ
 MILLIMETRES: Final = 1000.0  # per metre
 MAX_MM: Final = 65_535  # of a 16-bit image
 
 
 @dataclass(frozen=True, eq=False)
-class RangeImage:
-    """The surface that a frame shows.
+class ImageGeometry:
+    """The camera of exported images.
 
     Attributes:
-        camera: of the frame.
-        distance: `(h, w)` metres along the rays through the pixel centres; inf where there is no surface.
+        camera: that of the frame, or a pinhole camera.
+        pinhole: resamples the frame's images to those of a pinhole camera; None for the frame's own.
     """
 
     camera: Camera
+    pinhole: PinholeImages | None = field(default=None, kw_only=True)
+
+    def resample(self, image: NDArray[Any], outside: Any) -> NDArray[Any]:
+        """`(h, w)` an image of the frame as the camera sees it, by the nearest pixels."""
+        return image if self.pinhole is None else self.pinhole.resample(image, outside)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage(ImageGeometry):
+    """The surface that a frame shows.
+
+    Attributes:
+        distance: `(h, w)` metres along the rays through the pixel centres; inf where there is no surface.
+    """
+
     distance: NDArray[np.float64]
 
     @property
@@ -96,8 +113,39 @@ def recorded_camera(frame: DatasetFrame, *, allows_line_scan: bool = False) -> C
         raise InputError(path, f"must describe a camera, but {error}", key="camera") from None
 
 
+def read_geometry(frame: DatasetFrame, options: ImageOptions) -> ImageGeometry:
+    """The camera of the exported images of a frame.
+
+    Raises:
+        InputError: the camera is not valid; or a pinhole is wanted, and the lens is too wide for one, or the
+            rows of a moving camera have poses of their own.
+    """
+    camera = recorded_camera(frame)
+    if not options.is_undistorted:
+        return ImageGeometry(camera)
+    path = frame.dataset.frame_path(frame.index)
+    if camera.rows_move:
+        raise InputError(path, "must not move while its rows are read, with undistort", key="camera.motion")
+    try:
+        pinhole = PinholeImages(camera, fills=True)
+    except ValueError as error:
+        raise InputError(path, f"cannot be undone, as {error}", key="camera.distortion") from None
+    if pinhole.is_identity:
+        return ImageGeometry(camera)
+    matrix = dict(zip(("fx", "fy", "cx", "cy"), pinhole.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], strict=True))
+    return ImageGeometry(
+        Camera.from_metadata({**frame.metadata["camera"], **matrix, "distortion": {}}), pinhole=pinhole
+    )
+
+
+def read_view(frame: DatasetFrame, geometry: ImageGeometry) -> RangeImage:
+    """The surface of a frame as its exported images show it; raises as `read_surface`."""
+    distance = geometry.resample(read_surface(frame).distance, np.inf)
+    return RangeImage(geometry.camera, distance, pinhole=geometry.pinhole)
+
+
 def read_surface(frame: DatasetFrame, *, allows_line_scan: bool = False) -> RangeImage:
-    """The surface of a frame from its output `distance`, or else `depth_z`.
+    """The surface of a frame from its output `distance`, or else `depth_z`, seen by the frame's own camera.
 
     Raises:
         InputError: the camera or the image is not valid, or they differ in size.
@@ -115,72 +163,83 @@ def read_surface(frame: DatasetFrame, *, allows_line_scan: bool = False) -> Rang
     return RangeImage(camera, image if output == "distance" else image / camera.pixel_directions()[..., 2])
 
 
-def read_colour(frame: DatasetFrame, surface: RangeImage) -> NDArray[np.uint8]:
-    """The photograph `(h, w, 3)` of a frame; raises `InputError` if it has another size than its surface."""
-    colour: NDArray[np.uint8] = frame.image("colour")
-    if colour.shape[:2] != surface.distance.shape:
-        path = frame.dataset.path(frame.index, "colour")
-        raise size_error(path, surface.distance.shape, colour.shape)
-    return colour
+def read_colour(frame: DatasetFrame, geometry: ImageGeometry) -> NDArray[np.uint8]:
+    """The photograph `(h, w, 3)` of a frame; raises `InputError` if it has another size than its camera."""
+    colour: NDArray[np.uint8] = _read_image(frame, "colour", geometry)
+    return colour if geometry.pinhole is None else geometry.pinhole.resample_colour(colour)
 
 
-def read_label(frame: DatasetFrame, output: str, surface: RangeImage) -> NDArray[Any]:
-    """A label image `(h, w)` of a frame; raises `InputError` if it has another size than its surface."""
+def read_label(frame: DatasetFrame, output: str, geometry: ImageGeometry) -> NDArray[Any]:
+    """An image `(h, w)` of a frame; raises `InputError` if it has another size than its camera."""
+    image = _read_image(frame, output, geometry)
+    return geometry.resample(image, image.dtype.type(0))
+
+
+def _read_image(frame: DatasetFrame, output: str, geometry: ImageGeometry) -> NDArray[Any]:
     image: NDArray[Any] = frame.image(output)
-    if image.shape != surface.distance.shape:
-        raise size_error(frame.dataset.path(frame.index, output), surface.distance.shape, image.shape)
+    size = geometry.camera.height, geometry.camera.width
+    if image.shape[:2] != size:
+        raise size_error(frame.dataset.path(frame.index, output), size, image.shape)
     return image
 
 
-def valid_pixels(frame: DatasetFrame, surface: RangeImage) -> NDArray[np.bool_]:
-    """`(h, w)` whether training may use a pixel; the output `class` says which are ignored."""
-    return np.asarray(read_label(frame, "class", surface) != IGNORE_CLASS)
+def picture_png(frame: DatasetFrame, geometry: ImageGeometry, options: ImageOptions) -> bytes:
+    """A PNG of the photograph, the same bytes as in the data set if nothing is changed.
+
+    The fourth channel of a picture with one is the share of the pixel's area that shows the foreground, of
+    255, by the output `coverage`, or else 255 where the pixel's centre does. Pixels that show the foreground
+    in part have the colour of the nearest inside it, up to 5 pixels away.
+    """
+    if geometry.pinhole is None and options.cut_out is None:
+        return frame.content("colour")
+    colour = read_colour(frame, geometry)
+    if options.cut_out is not None:
+        alpha = _read_alpha(frame, geometry, options.cut_out)
+        colour = np.concatenate([_without_background(colour, alpha[..., 0]), alpha], axis=-1)
+    return png_bytes(colour)
 
 
-def mask_png(frame: DatasetFrame, surface: RangeImage) -> bytes:
-    """A PNG of 8 bits: 0 for ignored pixels, 255 for others."""
-    return png_bytes(np.where(valid_pixels(frame, surface), np.uint8(255), np.uint8(0)))
+def _without_background(colour: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A photograph whose mixed pixels have the colour of the nearest inside, as alpha is not premultiplied.
+
+    Otherwise what is cut out of a bright background has a bright outline before a dark one. Pixels beside
+    mixed ones are no sources, since demosaicing mixes the background into them.
+    """
+    from scipy.ndimage import binary_erosion, distance_transform_edt
+
+    is_inside = binary_erosion(alpha == 255, border_value=1)
+    if not is_inside.any():
+        return colour
+    distance, (rows, columns) = distance_transform_edt(~is_inside, return_indices=True)
+    is_replaced = (alpha > 0) & (alpha < 255) & (distance <= _REACH_PX)
+    return np.where(is_replaced[..., None], colour[rows, columns], colour)
+
+
+def _read_alpha(frame: DatasetFrame, geometry: ImageGeometry, cut_out: frozenset[int]) -> NDArray[np.uint8]:
+    """`(h, w, 1)` the fourth channel of a picture."""
+    if "coverage" not in frame.metadata["outputs"]:
+        return np.where(valid_pixels(frame, geometry, cut_out), np.uint8(255), np.uint8(0))[..., None]
+    shares = _read_image(frame, "coverage", geometry)[..., sorted(cut_out)]
+    alpha = np.rint(255.0 * shares.sum(axis=-1, keepdims=True, dtype=np.float32)).astype(np.uint8)
+    return alpha if geometry.pinhole is None else geometry.pinhole.resample_colour(alpha)
+
+
+def valid_pixels(
+    frame: DatasetFrame, geometry: ImageGeometry, foreground: frozenset[int] | None = None
+) -> NDArray[np.bool_]:
+    """`(h, w)` whether the output `class` is in the foreground; for None, whether training may use it."""
+    classes = read_label(frame, "class", geometry)
+    if foreground is None:
+        return np.asarray(classes != IGNORE_CLASS)
+    return np.isin(classes, sorted(foreground))
+
+
+def mask_png(frame: DatasetFrame, geometry: ImageGeometry, foreground: frozenset[int] | None) -> bytes:
+    """A PNG of 8 bits: 255 for `valid_pixels`, 0 for others."""
+    return png_bytes(np.where(valid_pixels(frame, geometry, foreground), np.uint8(255), np.uint8(0)))
 
 
 def size_error(path: Path, expected: tuple[int, ...], found: tuple[int, ...]) -> InputError:
     """The error of an image of another size, in rows and columns, than its camera has."""
     wanted = f"{expected[1]} x {expected[0]} pixels, as the frame's camera"
     return InputError(path, f"must have {wanted}, not {found[1]} x {found[0]}")
-
-
-@dataclass(frozen=True, eq=False)
-class SeedPoints:
-    """Points on the surfaces of a scene.
-
-    Attributes:
-        position: `(n, 3)` world metres, whole micrometres.
-        colour: `(n, 3)` uint8, of the pixel in which a point was found.
-    """
-
-    position: NDArray[np.float64]
-    colour: NDArray[np.uint8]
-
-
-def seed_points(frames: Sequence[DatasetFrame], count: int, *, skip_ignored: bool) -> SeedPoints:
-    """Pixels with a surface, drawn evenly from the frames of a scene; the same for the same frames.
-
-    Args:
-        frames: of the scene.
-        count: of the points; fewer if there are fewer pixels.
-        skip_ignored: whether frames can have ignored pixels, which have no points then.
-    """
-    positions, colours = [np.empty((0, 3))], [np.empty((0, 3), np.uint8)]
-    for number, frame in enumerate(frames):
-        surface = read_surface(frame)
-        is_candidate = np.isfinite(surface.distance)
-        if skip_ignored:
-            is_candidate &= valid_pixels(frame, surface)
-        candidates = np.flatnonzero(is_candidate)
-        share = count * (number + 1) // len(frames) - count * number // len(frames)
-        # By the index of the frame, so that its points do not depend on what else is exported.
-        rng = np.random.default_rng(frame.index)
-        chosen = np.sort(rng.choice(candidates, min(share, len(candidates)), replace=False, shuffle=False))
-        rows, columns = np.unravel_index(chosen, surface.distance.shape)
-        positions.append(np.round(surface.points(rows, columns), 6))
-        colours.append(read_colour(frame, surface)[rows, columns])
-    return SeedPoints(np.concatenate(positions), np.concatenate(colours))

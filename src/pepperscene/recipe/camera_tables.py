@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from pepperscene.camera import ExposureControl, StereoMatching
+from pepperscene.camera import ExposureControl, Metering, StereoMatching
 from pepperscene.document import Document
 from pepperscene.units import (
     MICROSECONDS,
@@ -145,14 +145,15 @@ class AutoExposureTable(Table):
         target_grey: mean of the photograph's 8-bit codes over pixels and colours.
         exposure_s: shortest and longest exposure time.
         most_gain: highest gain. The lowest is `camera.gain`.
-        metering: weights of the pixels: equal, or more in the middle of the image.
+        metering: weights of the pixels: equal; more in the middle of the image; or only those of plants, with
+            at most 0.3 % of them saturated; `highlights` has no target, but is as bright as that allows.
     """
 
     target_grey: Annotated[float, within(1, 250)] = 110.0
     # The limits are chosen, as in `ExposureControl`.
     exposure_s: tuple[Exposure, Exposure] = (10e-6, 10e-3)
     most_gain: Annotated[float, within(1, 1000)] = 4.0
-    metering: Literal["average", "centre"] = "average"
+    metering: Metering = "average"
 
     def __post_init__(self) -> None:
         if self.exposure_s[0] > self.exposure_s[1]:

@@ -17,10 +17,11 @@ from pepperscene.camera import (
     develop,
     image_electrons,
     match_depth,
+    metering_camera,
     with_exposure,
 )
 from pepperscene.render.kernel_scene import KernelScene, TracedSignal
-from pepperscene.render.metering import metered_light
+from pepperscene.render.metering import metered_light, metered_subject
 from pepperscene.render.quality import Quality
 from pepperscene.scene import Scene
 
@@ -67,7 +68,8 @@ def depth_camera_images(
     if control is not None:
         # Now that the dots are known, which are brighter than their mean.
         light = traced["imager_left"][0]
-        chosen = choose_exposure(unset, light, np.zeros_like(light), control)
+        subject = metered_subject(kernel, views["imager_left"].camera, control)
+        chosen = choose_exposure(unset, light, np.zeros_like(light), control, subject)
         views = {
             name: dataclasses.replace(view, camera=with_exposure(view.camera, chosen))
             for name, view in views.items()
@@ -141,7 +143,8 @@ def _metered(
     )
     # The projector is on for as long as the imagers are exposed, as daylight is.
     total = light[0] + light[1]
-    return with_exposure(left, choose_exposure(left, total, np.zeros_like(total), control))
+    subject = metered_subject(kernel, metering_camera(left), control)
+    return with_exposure(left, choose_exposure(left, total, np.zeros_like(total), control, subject))
 
 
 def _grey(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -9,10 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Camera, metering_camera
+from pepperscene.camera import SUBJECT_METERINGS, Camera, ExposureControl, metering_camera
+from pepperscene.classes import PLANT_CLASSES
+from pepperscene.render.aov.labels import class_ids, first_hits, instance_ids
 from pepperscene.render.arrays import LocalCoordinates
 from pepperscene.render.kernel.camera import camera_rays, spectral_response
 from pepperscene.render.kernel.scene import LightScene, sky_tables
+from pepperscene.render.kernel_scene import KernelScene
 from pepperscene.render.transport.denoise import denoised
 from pepperscene.render.transport.path_lengths import needs_long_paths
 from pepperscene.render.transport.trace import Sampling, trace
@@ -82,3 +85,14 @@ def metered_light(
     if small.flash is not None:
         flash = denoised(trace(kernel_scene, rays, response, small.flash, None, by_flash, second))
     return daylight, flash
+
+
+def metered_subject(
+    kernel: KernelScene, camera: Camera, control: ExposureControl
+) -> NDArray[np.bool_] | None:
+    """`(h, w)` whether the centre of each pixel shows a plant; None if the metering does not need it."""
+    if control.metering not in SUBJECT_METERINGS:
+        return None
+    hits = first_hits(kernel.truth_scene(), camera_rays(camera, kernel.coordinates))
+    mesh = kernel.scene.mesh
+    return np.isin(class_ids(mesh, instance_ids(mesh, hits)), list(PLANT_CLASSES))

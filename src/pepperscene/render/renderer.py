@@ -18,6 +18,7 @@ from pepperscene.camera import (
     ExposureControl,
     Partners,
     choose_exposure,
+    metering_camera,
     with_exposure,
 )
 from pepperscene.errors import InputError
@@ -32,7 +33,7 @@ from pepperscene.outputs import (
 from pepperscene.render.aov.label_images import SceneLabels
 from pepperscene.render.kernel.split_scene import SplitScene
 from pepperscene.render.kernel_scene import KernelScene
-from pepperscene.render.metering import metered_light
+from pepperscene.render.metering import metered_light, metered_subject
 from pepperscene.render.photographs import photographs
 from pepperscene.render.quality import Quality, check_depth_camera_quality, resolve_quality
 from pepperscene.render.ray_casting import cast_rays
@@ -143,7 +144,7 @@ class Renderer:
             chosen = self.meter(camera, exposure_control, seed, sky, quality)
             camera, partners = with_exposure(camera, chosen), _with_exposure(partners, chosen)
             target = {"target_grey": exposure_control.target_grey}
-            described["auto_exposure"] = target | dataclasses.asdict(chosen)
+            described["auto_exposure"] = target | chosen.to_json()
 
         request = _Request(requested, camera, partners, quality, seed, self._under(sky))
         images: dict[str, Any] = {}
@@ -259,7 +260,8 @@ class Renderer:
             quality.bounces,
             quality.most_bounces,
         )
-        return choose_exposure(camera, *light, control)
+        subject = metered_subject(self._kernel, metering_camera(camera), control)
+        return choose_exposure(camera, *light, control, subject)
 
     def _under(self, sky: FrameSky) -> Scene:
         """The scene under the sky of a frame."""

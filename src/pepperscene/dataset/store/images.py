@@ -37,7 +37,7 @@ _LUMINANCE: Final = ("Y",)  # channel of electrons and albedo behind no colour f
 
 _CHANNEL: Final = re.compile(r"B(\d+)(\.\d+nm)?")
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-_GREY, _RGB, _PALETTE = 0, 2, 3  # PNG colour types
+_GREY, _RGB, _PALETTE, _RGBA = 0, 2, 3, 6  # PNG colour types
 _UP: Final = 2  # PNG filter: each row holds its difference from the row above
 _DEFLATE_LEVEL, _DEFLATE_MEMORY = 1, 9
 _PNG_PART: Final = 1 << 24  # bytes of an image that are filtered at a time; chosen: more than most images
@@ -96,15 +96,16 @@ def png_bytes(image: NDArray[Any], palette: Sequence[tuple[int, int, int]] | Non
     """Encode an image as PNG, the same bytes for the same values.
 
     Args:
-        image: `(h, w)` uint8 or uint16 grey values, or `(h, w, 3)` uint8 RGB.
+        image: `(h, w)` uint8 or uint16 grey values, or `(h, w, 3)` or `(h, w, 4)` uint8 RGB or RGBA.
         palette: colours of the values of an `(h, w)` uint8 image.
 
     Raises:
         ValueError: the image has another shape or dtype, or is empty.
     """
-    colour_type = _PALETTE if palette is not None else _RGB if image.ndim == 3 else _GREY
+    colour_types = {(): _GREY if palette is None else _PALETTE, (3,): _RGB, (4,): _RGBA}
+    colour_type = colour_types.get(image.shape[2:])
     dtypes = ("uint8", "uint16") if colour_type == _GREY else ("uint8",)
-    fits = image.shape[2:] == ((3,) if colour_type == _RGB else ()) and image.dtype in dtypes
+    fits = colour_type is not None and image.dtype in dtypes and (palette is None or image.ndim == 2)
     if not fits or image.ndim < 2 or image.size == 0:
         raise ValueError(f"an image of shape {image.shape} and type {image.dtype} does not fit this PNG type")
 

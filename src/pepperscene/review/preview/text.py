@@ -100,8 +100,9 @@ def _camera_text(camera: CameraSummary) -> str:
     else:
         control = camera.auto_exposure
         shortest, longest = control["exposure_us"]
+        aim = f"to a mean grey of {control['target_grey']:g}, "
         exposure = (
-            f"automatic exposure to a mean grey of {control['target_grey']:g}, "
+            f"automatic exposure {'' if control['metering'] == 'highlights' else aim}"
             f"{shortest:g} to {longest:g} µs, gain up to {control['most_gain']:g}, "
             f"metering {control['metering']}"
         )
