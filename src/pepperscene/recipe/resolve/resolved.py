@@ -185,11 +185,16 @@ def _load_changed_cultivar(recipe: Recipe, where: str | Path, name: str) -> Cult
     from pepperscene.cultivar.cultivar import CHANGES
 
     try:
-        return load_cultivar(name, recipe.override)
+        cultivar = load_cultivar(name, recipe.override)
     except InputError as error:
         if error.where != CHANGES:
             raise
         raise InputError(where, error.problem, key=f"override.{error.key}", value=error.value) from None
+    if cultivar.spectra:
+        from pepperscene.materials import check_curves
+
+        check_curves(cultivar)
+    return cultivar
 
 
 def _fraction_of_time(growth: GrowthTable, first: Cultivar, last: Cultivar, where: str | Path) -> float:
