@@ -116,7 +116,7 @@ FROM_PIGMENTS: Final = "pigments"
 """Instead of a column: the transmittance of the pigments' leaf at state 0.5."""
 
 STATE_PER_SD: Final = 1.0 / 6.0
-"""A measured surface has states of 0 to 1 from 3 standard deviations below the mean of its organs to 3 above."""
+"""States 0 to 1 of a measured surface are 3 standard deviations below and above the mean of its organs."""
 
 Columns = Annotated[
     tuple[str, ...],
