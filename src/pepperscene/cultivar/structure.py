@@ -112,9 +112,6 @@ class PigmentPath(Origin):
         return {n: np.interp(x, known, [getattr(p, n) for _, p in self.knots]) for n in names}
 
 
-FROM_PIGMENTS: Final = "pigments"
-"""Instead of a column: the transmittance of the pigments' leaf at state 0.5."""
-
 STATE_PER_SD: Final = 1.0 / 6.0
 """States 0 to 1 of a measured surface are 3 standard deviations below and above the mean of its organs."""
 
@@ -123,20 +120,18 @@ Columns = Annotated[
     Field(min_length=1, max_length=1000),
     BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw),
 ]
-"""Names of columns: one, or those of several measured samples."""
+"""Names of columns: one, or those of several samples."""
 
 
 class MeasuredCurve(Document):
-    """A measured curve of a surface, instead of what its pigments give, and how organs vary about it.
+    """A measured curve of a surface, instead of the colour of its pigments, and how organs vary about it.
 
     Attributes:
-        file: CSV file; see `pepperscene.spectra.read_measured`.
-        reflectance: columns of the front side. Several are samples: organs vary along their first principal
+        file: CSV file; see `pepperscene.spectra.measured.read_measured`, also for both units.
+        reflectance: columns of the front. Several are samples: organs vary along their first principal
             component, with the samples' standard deviation.
-        reflectance_below: columns of the back side of a blade or petal; None for those of the front.
-        transmittance: columns of a blade or petal; None for "transmittance"; or `FROM_PIGMENTS`.
-        unit: of these columns, and of the first one: see `read_measured`.
-        wavelength_unit: likewise.
+        reflectance_below: columns of the back of a blade or petal; None for those of the front.
+        transmittance: columns of a blade or petal; None for "transmittance".
         spread: standard deviation of a factor on the whole curve between organs, for a single sample.
         gloss: whether the curve includes the light that a glossy cuticle reflects, which then has the index
             and the roughness of the pigments' table; otherwise the surface is matt.
@@ -157,8 +152,7 @@ class MeasuredCurve(Document):
     def _check_samples(self) -> Self:
         count = len(self.reflectance)
         for name in ("reflectance_below", "transmittance"):
-            columns = getattr(self, name)
-            if columns not in (None, (FROM_PIGMENTS,)) and len(columns) != count:
+            if len(getattr(self, name) or self.reflectance) != count:
                 raise ValueError(f"{name} must have as many columns as reflectance, {count}")
         if count > 1 and self.spread:
             raise ValueError("spread must be left out: it is that of the samples")

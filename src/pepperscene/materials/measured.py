@@ -8,24 +8,13 @@ from typing import Final
 import numpy as np
 
 from pepperscene.cultivar import STATE_PER_SD, Cultivar, MeasuredCurve, PigmentPath
-from pepperscene.cultivar.structure import FROM_PIGMENTS
-from pepperscene.materials.leaf import leaf_optics, mean_gloss, under_cuticle
+from pepperscene.materials.leaf import mean_gloss, under_cuticle
 from pepperscene.materials.surface import Surface
-from pepperscene.spectra import Spectrum, check_energy, read_measured
+from pepperscene.spectra import Spectrum
+from pepperscene.spectra.measured import check_energy, read_measured
 from pepperscene.spectra.spectrum import FloatArray
 
 _STATES: Final = np.linspace(0.0, 1.0, 13)  # every half of a standard deviation
-_MIDDLE: Final = np.array([0.5])
-
-
-def check_curves(cultivar: Cultivar) -> None:
-    """Read all measured curves of a cultivar.
-
-    Raises:
-        InputError: as `read_measured`, or reflectance and transmittance sum to more than 1.
-    """
-    for name, curve in cultivar.spectra.items():
-        _samples(curve, is_sheet=name in _sheets(cultivar))
 
 
 def curve_notes(cultivar: Cultivar, first_nm: float, last_nm: float) -> tuple[str, ...]:
@@ -33,22 +22,25 @@ def curve_notes(cultivar: Cultivar, first_nm: float, last_nm: float) -> tuple[st
 
     One for each curve with its range, and whether its end values are used outside of it; and one for each
     that is darker than the gloss of its cuticle somewhere, so that it cannot be reproduced there.
+
+    Raises:
+        InputError: as `measured_surface`.
     """
-    notes = []
+    notes, sheets = [], {kind.surface for kind in cultivar.kinds.values() if kind.form in ("blade", "flower")}
     for name, curve in cultivar.spectra.items():
-        front = _samples(curve, is_sheet=name in _sheets(cultivar))[0]
+        front, file = _read(curve, is_sheet=name in sheets)[0], curve.file.name
         low, high = front.range_nm
-        note = f"{name}: {curve.file.name} is measured from {low:g} to {high:g} nm"
-        if first_nm < low or last_nm > high:
-            note += f"; the cameras see {first_nm:g} to {last_nm:g} nm, and its end values hold outside"
-        notes.append(note)
-        gloss, mean = mean_gloss(cultivar.pigments[name], 0), front.values.mean(axis=0)
-        inside = (front.wavelength_nm >= first_nm) & (front.wavelength_nm <= last_nm)
-        if curve.gloss and (mean[inside] < gloss).any():
-            dark = front.wavelength_nm[inside & (mean < gloss)]
+        extended = f"; the cameras see {first_nm:g} to {last_nm:g} nm, and its end values hold outside"
+        is_covered = low <= first_nm and last_nm <= high
+        notes.append(
+            f"{name}: {file} is measured from {low:g} to {high:g} nm{'' if is_covered else extended}"
+        )
+        gloss, nm = mean_gloss(cultivar.pigments[name], 0), front.wavelength_nm
+        dark = nm[(front.values.mean(axis=0) < gloss) & (first_nm <= nm) & (nm <= last_nm)]
+        if curve.gloss and dark.size:
             notes.append(
-                f"{name}: {curve.file.name} is below {gloss:.3f}, the gloss of the cuticle, at {dark.size} "
-                f"wavelengths from {dark[0]:g} to {dark[-1]:g} nm; set gloss = false, or a smaller ior"
+                f"{name}: {file} is below {gloss:.3f}, the gloss of the cuticle, between {dark[0]:g} and "
+                f"{dark[-1]:g} nm, where organs are brighter than measured; set gloss = false"
             )
     return tuple(notes)
 
@@ -56,32 +48,20 @@ def curve_notes(cultivar: Cultivar, first_nm: float, last_nm: float) -> tuple[st
 def measured_surface(surface: Surface, curve: MeasuredCurve, path: PigmentPath) -> Surface:
     """The surface with a measured curve instead of the colour of its pigments.
 
-    Relief, residue and texture stay. States are standard deviations from the mean of the organs (see
-    `STATE_PER_SD`), from pale to dark; the texture, such as veins, varies as organs do and has the mean 0. A
-    measured surface does not age, and its contents are not known.
-
-    Args:
-        surface: with the pigments' colour.
-        curve: the measured one.
-        path: pigments, whose cuticle it has.
+    Relief and residue stay. States are standard deviations from the mean of the organs (see `STATE_PER_SD`),
+    from pale to dark; the texture, such as veins, varies as organs do and has the mean 0. A measured surface
+    does not age, and its contents are not known.
 
     Raises:
-        InputError: as `check_curves`.
+        InputError: as `read_measured`, or reflectance and transmittance sum to more than 1.
     """
-    nm, is_sheet = surface.wavelength_nm, bool(surface.transmittance.any())
-    front, back, through = (
-        None if samples is None else samples.at(nm) for samples in _samples(curve, is_sheet=is_sheet)
-    )
-    assert front is not None
-    if back is None:
-        back = front
-    if through is None:
-        known = leaf_optics(path, nm, _MIDDLE)[2] if is_sheet else np.zeros((1, nm.size))
-        through = np.minimum(known, 1.0 - np.maximum(front, back))
-    rows = _varied(np.stack([front, back, through], axis=1), curve.spread)
+    spectra = _read(curve, is_sheet=bool(surface.transmittance.any()))
+    samples = np.stack([spectrum.at(surface.wavelength_nm) for spectrum in spectra], axis=1)
     cuticle = path if curve.gloss else path.model_copy(update={"ior": 1.0})
-    upper, lower, transmittance = under_cuticle(cuticle, rows[:, 0], rows[:, 1], rows[:, 2])
-    pattern = None if surface.pattern is None else surface.pattern - surface.pattern.mean(dtype=float)
+    upper, lower, transmittance = under_cuticle(cuticle, *_varied(samples, curve.spread).swapaxes(0, 1))
+    pattern = surface.pattern
+    if pattern is not None:
+        pattern = (pattern - pattern.mean(dtype=float)).astype(np.float32)
     return replace(
         surface,
         reflectance=np.stack([upper, lower], axis=1),
@@ -89,32 +69,24 @@ def measured_surface(surface: Surface, curve: MeasuredCurve, path: PigmentPath) 
         ior=cuticle.ior,
         first_state=0.0,
         ageing_order=None,
-        pattern=None if pattern is None else pattern.astype(np.float32),
+        pattern=pattern,
         contents={},
     )
 
 
-def _sheets(cultivar: Cultivar) -> set[str]:
-    """Surfaces that transmit light."""
-    return {kind.surface for kind in cultivar.kinds.values() if kind.form in ("blade", "flower")}
-
-
-def _samples(curve: MeasuredCurve, *, is_sheet: bool) -> tuple[Spectrum, Spectrum | None, Spectrum | None]:
-    """Samples `(k, n)` of front, back and transmittance; None for what the file does not have."""
-
-    def read(columns: tuple[str, ...]) -> Spectrum:
-        return read_measured(curve.file, columns, unit=curve.unit, wavelength_unit=curve.wavelength_unit)
-
-    front = read(curve.reflectance)
-    below = None if curve.reflectance_below is None else read(curve.reflectance_below)
-    columns = curve.transmittance or ("transmittance",)
-    if not is_sheet or columns == (FROM_PIGMENTS,):
-        return front, below, None
-    through = read(columns)
-    for side in (front, below):
-        if side is not None:
-            check_energy(curve.file, side, through, columns)
-    return front, below, through
+def _read(curve: MeasuredCurve, *, is_sheet: bool) -> tuple[Spectrum, Spectrum, Spectrum]:
+    """Samples `(k, n)` of front, back and transmittance, which is 0 of what is no sheet."""
+    through = curve.transmittance or ("transmittance",)
+    columns = (curve.reflectance, curve.reflectance_below or curve.reflectance, through)
+    front, back, transmittance = (
+        read_measured(curve.file, names, unit=curve.unit, wavelength_unit=curve.wavelength_unit)
+        for names in (columns if is_sheet else columns[:1] * 3)
+    )
+    if not is_sheet:
+        return front, back, transmittance.times(0.0)
+    for side in (front, back):
+        check_energy(curve.file, side, transmittance, through)
+    return front, back, transmittance
 
 
 def _varied(samples: FloatArray, spread: float) -> FloatArray:

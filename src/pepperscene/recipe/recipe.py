@@ -57,18 +57,6 @@ FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
 """Keys whose values name files, and the folder of the shipped ones; None for cultivars."""
 
 
-def curve_keys(tables: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """Keys of the files of measured curves in a recipe's tables, whose values are not yet checked."""
-    override, twins = (tables.get(name) for name in ("override", "twins"))
-    curves = override.get("spectra") if isinstance(override, dict) else None
-    keys = [
-        ("override", "spectra", name, _REFERENCE) for name in (curves if isinstance(curves, dict) else ())
-    ]
-    dotted = [tuple(key.split(".")) for key in (twins if isinstance(twins, dict) else ())]
-    keys += [key for key in dotted if key[:2] == ("override", "spectra") and key[3:] == (_REFERENCE,)]
-    return tuple(dict.fromkeys(keys))
-
-
 class Recipe(Document):
     """A recipe fully defines a data set: with the package version it determines every byte of a frame.
 
@@ -165,22 +153,21 @@ class Recipe(Document):
                     # Files of the same name in different folders.
                     part += f".{number}" if part in files else ""
                 files |= _fingerprints(part, folder, name)
-        for key in curve_keys({"override": self.override, "twins": self.twins}):
-            for number, file in enumerate(self._curve_files(key)):
-                part = f"{'.'.join(key)}.{number}" if number else ".".join(key)
-                files[part] = {"name": file.stem, "sha256": atomic.digest(file, "spectra")}
+        for file in self._curve_files():
+            files[f"override.spectra.{file.name}"] = _fingerprint(file, atomic.digest(file, "spectra"))
         return {"recipe": _without_folders(recipe), "files": files}
 
-    def _curve_files(self, key: tuple[str, ...]) -> list[Path]:
-        from pepperscene.cultivar.inheritance import curve_files
+    def _curve_files(self) -> list[Path]:
+        """Measured curves that the recipe's own changes of the cultivar name."""
+        from pepperscene.cultivar import curve_files
 
-        return [file for name in self._names(key) for file in curve_files({"spectra": {"": {"file": name}}})]
+        return curve_files(self.override)
 
     def _names(self, key: tuple[str, ...]) -> list[str]:
         """All names of files that a key can have in any frame; the recipe's own comes first."""
         value: Any = self
         for part in key:
-            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+            value = getattr(value, part, None)
         dotted = ".".join(key)
         varied = [name for v in self.variation if v.name == dotted for name in v.extremes]
         rig = [camera.camera.get(key[1]) for camera in self.rig if key[0] == "camera"]

@@ -19,7 +19,6 @@ from pepperscene.spectra.lights import (
     sky_spectrum,
     sun_spectrum,
 )
-from pepperscene.spectra.measured import RatioUnit, WavelengthUnit, check_energy, read_measured
 from pepperscene.spectra.prospect import MEAN_LEAF, absorption_coefficients, layer_over_body, leaf_spectra
 from pepperscene.spectra.spectrum import Spectrum
 
@@ -27,11 +26,8 @@ __all__ = [
     "D65_K",
     "MEAN_LEAF",
     "Provenance",
-    "RatioUnit",
     "Spectrum",
-    "WavelengthUnit",
     "absorption_coefficients",
-    "check_energy",
     "colour_science",
     "daylight_basis",
     "daylight_mixture",
@@ -40,7 +36,6 @@ __all__ = [
     "leaf_spectra",
     "photons_per_joule",
     "photopic_efficiency",
-    "read_measured",
     "read_provenance",
     "read_spectra",
     "read_spectrum",

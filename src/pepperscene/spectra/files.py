@@ -116,15 +116,9 @@ def check_wavelengths(file: Path, wavelength_nm: FloatArray) -> None:
 def read_table(
     file: Path, first: Sequence[str] = (WAVELENGTH_KEY,), plain: Callable[[str], str] = str.strip
 ) -> tuple[list[str], FloatArray]:
-    """Header and numbers `(rows, columns)` of a CSV file.
+    """Header and numbers `(rows, columns)` of a CSV file; raises `InputError` if a cell is not a number.
 
-    Args:
-        file: path of the file.
-        first: allowed names of the first column.
-        plain: makes the name of a column from the text in the header.
-
-    Raises:
-        InputError: it is not such a table, or a cell is not a finite number; row and column are named.
+    `first` are the allowed names of the first column; `plain` makes names from the texts in the header.
     """
     text = read_text(file, "spectra")
     try:

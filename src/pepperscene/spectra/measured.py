@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -15,14 +15,10 @@ from pepperscene.shipped import is_file
 from pepperscene.spectra.files import Provenance, cell_error, check_wavelengths, read_table
 from pepperscene.spectra.spectrum import FloatArray, Spectrum
 
-RatioUnit = Literal["fraction", "percent"]
-WavelengthUnit = Literal["nm", "um"]
-
 _FIRST: Final = ("wavelength_nm", "wavelength_um", "wavelength")
 _PERCENT: Final = "_percent"
 _IS_PERCENT: Final = {"1": False, "fraction": False, "%": True, "percent": True}  # by unit
-_GAP_STEPS: Final = 10.0
-_GAP_NM: Final = 20.0
+_GAP_STEPS, _GAP_NM = 10.0, 20.0
 """A gap is longer than both: so many of the usual steps, and so many nanometres. Both are chosen: narrower
 than the slope of a leaf's red edge, and wider than the steps of any table of a continuous curve."""
 _ROUNDING: Final = 1e-9  # of sums of decimal fractions
@@ -30,47 +26,44 @@ _OWN_KEYS: Final = {"name", "extends"}  # of recipes and cultivars, which no des
 
 
 def read_measured(
-    file: Path,
-    columns: Sequence[str],
-    *,
-    unit: RatioUnit | None = None,
-    wavelength_unit: WavelengthUnit | None = None,
+    file: Path, columns: Sequence[str], *, unit: str | None = None, wavelength_unit: str | None = None
 ) -> Spectrum:
     """Read columns of a user's CSV file as fractions `(k, n)`; the end values hold outside of its range.
 
-    The first column is `wavelength_nm`, `wavelength_um` or `wavelength`; a name that ends with `_percent` or
-    `(%)` says that its column is in percent. "Wavelength (nm)" is the same as `wavelength_nm`, and a column
-    is found with or without its unit. A TOML file of the same stem, which may be missing, can say the unit of
-    all columns: see `Provenance`.
+    The first column is `wavelength_nm`, `wavelength_um` or `wavelength`; a name that ends with `_percent`, or
+    `(%)`, says that its column is in percent. "Wavelength (nm)" is the same as `wavelength_nm`, and a column
+    is found with or without its unit.
 
     Args:
         file: path of the file.
         columns: names of k columns.
-        unit: of columns whose names say none; None for that of the TOML file, or fractions.
-        wavelength_unit: likewise; None for nanometres.
+        unit: of columns that say none, "fraction" or "percent"; None for that of the TOML file of the same
+            stem (see `Provenance`), or fractions.
+        wavelength_unit: likewise, "nm" or "um"; None for nanometres.
 
     Raises:
         InputError: a column is missing, a unit is contradicted, a cell is not a number, wavelengths do not
             ascend or have a gap, or a value is outside of 0 to 1 or 0 to 100 %.
     """
     header, rows = read_table(file, _FIRST, _plain_name)
-    wavelength_nm = _nanometres(file, header[0], rows[:, 0], wavelength_unit)
-    check_wavelengths(file, wavelength_nm)
-    _check_gaps(file, wavelength_nm)
+    said = header[0].removeprefix("wavelength").strip("_")
+    if said and wavelength_unit not in (None, said):
+        problem = f"must be that of the header, {said}"
+        raise InputError(file, problem, key="wavelength_unit", value=wavelength_unit)
+    # Rounded, because a decimal fraction of a micrometre is none in binary.
+    nm = np.round(1e3 * rows[:, 0], 9) if (said or wavelength_unit) == "um" else rows[:, 0]
+    check_wavelengths(file, nm)
+    _check_gaps(file, nm)
     default = unit or _described_unit(file)
     found = [_column(file, header, name) for name in columns]
     values = [_fractions(file, header[number], rows[:, number], default) for number in found]
-    return Spectrum(wavelength_nm, np.stack(values), "hold")
+    return Spectrum(nm, np.stack(values), "hold")
 
 
 def check_energy(file: Path, reflectance: Spectrum, transmittance: Spectrum, columns: Sequence[str]) -> None:
-    """Raise `InputError` if reflectances and transmittances `(k, n)` of one file sum to more than 1.
+    """Raise `InputError` if reflectances and transmittances `(k, n)` of a file sum to more than 1.
 
-    Args:
-        file: that holds both.
-        reflectance: fractions at the wavelengths of the file.
-        transmittance: likewise.
-        columns: names of the transmittances.
+    `columns` are the k names of the transmittances.
     """
     excess = reflectance.values + transmittance.values - 1.0
     if excess.max() > _ROUNDING:
@@ -82,16 +75,8 @@ def check_energy(file: Path, reflectance: Spectrum, transmittance: Spectrum, col
 
 def _plain_name(text: str) -> str:
     """A column's name in lower case, with _ for spaces and brackets, and units in letters."""
-    text = text.strip().lower().replace("%", "percent").replace("µ", "u").replace("μ", "u")
+    text = re.sub("[µμ]", "u", text.lower().replace("%", "percent"))
     return re.sub(r"[\s\[\]()_]+", "_", text).strip("_")
-
-
-def _nanometres(file: Path, name: str, values: FloatArray, unit: WavelengthUnit | None) -> FloatArray:
-    said = name.rpartition("_")[2] if "_" in name else None
-    if said and unit and said != unit:
-        raise InputError(file, f"must be that of the header, {said}", key="wavelength_unit", value=unit)
-    # Rounded, so that a third of a nanometre in micrometres stays the same number.
-    return np.asarray(np.round(1e3 * values, 9) if (said or unit) == "um" else values)
 
 
 def _check_gaps(file: Path, wavelength_nm: FloatArray) -> None:
@@ -115,9 +100,8 @@ def _described_unit(file: Path) -> str:
 
 
 def _column(file: Path, header: Sequence[str], name: str) -> int:
-    plain = _plain_name(name)
     for number, column in enumerate(header):
-        if number and plain in (column, column.removesuffix(_PERCENT)):
+        if number and _plain_name(name) in (column, column.removesuffix(_PERCENT)):
             return number
     raise InputError(file, f"is not one of {', '.join(header[1:])}", key="column", value=name)
 

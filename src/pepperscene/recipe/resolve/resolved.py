@@ -207,9 +207,9 @@ def _load_changed_cultivar(recipe: Recipe, where: str | Path, name: str) -> Cult
             raise
         raise InputError(where, error.problem, key=f"override.{error.key}", value=error.value) from None
     if cultivar.spectra:
-        from pepperscene.materials import check_curves
+        from pepperscene.materials import curve_notes
 
-        check_curves(cultivar)
+        curve_notes(cultivar, 0.0, 0.0)  # reads and checks the curves
     return cultivar
 
 
