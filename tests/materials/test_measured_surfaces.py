@@ -8,8 +8,8 @@ from own_spectra import NM, leaf_curve, write_csv, write_leaf
 
 from pepperscene.cultivar import load_cultivar
 from pepperscene.errors import InputError
-from pepperscene.grammar import grow
 from pepperscene.geometry import mesh_plant
+from pepperscene.grammar import grow
 from pepperscene.materials import curve_notes, organ_surfaces
 from pepperscene.materials.gloss import cone_gloss
 
@@ -128,7 +128,8 @@ def test_notes_say_range_extension_and_dark_bands(tmp_path):
         tmp_path / "dark.csv", "wavelength_nm,reflectance,transmittance", NM, 0.0 * NM + 0.001, 0.1 + 0.0 * NM
     )
     _, note = curve_notes(cultivar(leaf={"file": str(dark)}), 450.0, 950.0)
-    assert "below 0.0" in note and "between 450 and 950 nm" in note
+    assert "below 0.0" in note
+    assert "between 450 and 950 nm" in note
     assert len(curve_notes(cultivar(leaf={"file": str(dark), "gloss": False}), 450.0, 950.0)) == 1
 
 

@@ -50,33 +50,38 @@ def test_description_beside_the_file_says_the_unit(tmp_path):
     assert read_measured(file, ["reflectance"], unit="percent").values.max() < 1.0
 
 
-ROWS = "400,0.1,0.1\n405,0.2,0.1\n410,0.2,0.1\n"
-HEADER = "wavelength_nm,reflectance,transmittance\n"
+HEADER = "wavelength_nm,reflectance,transmittance"
+PERCENT = "wavelength_nm,reflectance_percent,transmittance"
+BOTH_PERCENT = "wavelength_nm,reflectance_percent,transmittance_percent"
+ROWS = ("400,0.1,0.1", "405,0.2,0.1", "410,0.2,0.1")
 FAULTS = {
-    "no wavelength": ("nm,reflectance,transmittance\n" + ROWS, "first column = 'nm': must be named wavelength_nm"),
-    "gap in a column": (HEADER + "400,0.1,0.1\n405,,0.1\n", "row 3, column reflectance = '': must be a finite"),
-    "not a number": (HEADER + "400,0.1,nan\n405,0.1,0.1\n", "row 2, column transmittance = 'nan'"),
-    "not sorted": (HEADER + ROWS + "390,0.1,0.1\n", "row 5, column wavelength_nm = 390.0: must be greater"),
-    "gap": (HEADER + ROWS + "500,0.1,0.1\n", "row 5, column wavelength = 500.0: must follow 410 nm by at most"),
-    "micrometres": (HEADER + "0.4,0.1,0.1\n0.5,0.1,0.1\n", "row 2, column wavelength_nm = 0.4: must be in nano"),
-    "percent": (HEADER + "400,10,0.1\n405,50,0.1\n", 'row 2, column reflectance = 10.0: .* set unit = "percent"'),
-    "negative": (HEADER + ROWS + "415,-0.01,0.1\n", "row 5, column reflectance = -0.01: must be a fraction, 0 to 1"),
-    "fractions as percent": (
-        "wavelength_nm,reflectance_percent,transmittance_percent\n400,10,0.1\n405,50,0.4\n",
-        "column transmittance_percent = 'percent': has no value above 1",
+    "no wavelength": (["nm,R,T", *ROWS], "first column = 'nm': must be named wavelength_nm"),
+    "empty cell": ([HEADER, "400,0.1,0.1", "405,,0.1"], "row 3, column reflectance = '': must be a finite"),
+    "not a number": ([HEADER, "400,0.1,nan", *ROWS[1:]], "row 2, column transmittance = 'nan'"),
+    "not sorted": ([HEADER, *ROWS, "390,0,0"], "row 5, column wavelength_nm = 390.0: must be greater"),
+    "gap": ([HEADER, *ROWS, "500,0,0"], "row 5, column wavelength = 500.0: must follow 410 nm by at most 50"),
+    "micrometres": ([HEADER, "0.4,0.1,0.1", "0.5,0.1,0.1"], "row 2, column wavelength_nm = 0.4: must be in"),
+    "percent": (
+        [HEADER, "400,10,0.1", "405,50,0.1"],
+        'row 2, column reflectance = 10.0: .* unit = "percent"',
     ),
-    "above all light": (
-        "wavelength_nm,reflectance_percent,transmittance\n400,101,0.1\n405,50,0.4\n",
-        "column reflectance_percent = 101.0: must be in percent, 0 to 100",
+    "negative": ([HEADER, *ROWS, "415,-0.01,0.1"], "row 5, column reflectance = -0.01: must be a fraction"),
+    "fractions": (
+        [BOTH_PERCENT, "400,10,0.1", "405,50,0.4"],
+        "column transmittance_percent = 'percent': has",
     ),
-    "no such column": ("wavelength_nm,R,transmittance\n" + ROWS, "column = 'reflectance': is not one of r, trans"),
-}  # fmt: skip
+    "too much": (
+        [PERCENT, "400,101,0.1", "405,50,0.4"],
+        "column reflectance_percent = 101.0: must be in perc",
+    ),
+    "no column": (["wavelength_nm,R,T", *ROWS], "column = 'reflectance': is not one of r, t"),
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_one_sentence_with_file_key_and_value(tmp_path, fault):
     text, message = FAULTS[fault]
-    (tmp_path / "own.csv").write_text(text)
+    (tmp_path / "own.csv").write_text("\n".join(text))
     with pytest.raises(InputError, match=rf"own\.csv: .*{message}") as raised:
         read_measured(tmp_path / "own.csv", BOTH)
     assert "\n" not in str(raised.value)
@@ -96,6 +101,6 @@ def test_no_more_light_than_there_is(tmp_path):
     with pytest.raises(InputError, match=message):
         check_energy(file, reflectance, transmittance, ["transmittance"])
     # Rounding of decimals is no fault.
-    exact = write_csv(tmp_path / "exact.csv", HEADER.strip(), NM, 0.0 * NM + 0.7, 0.0 * NM + 0.3)
+    exact = write_csv(tmp_path / "exact.csv", HEADER, NM, 0.0 * NM + 0.7, 0.0 * NM + 0.3)
     reflectance, transmittance = (read_measured(exact, [name]) for name in BOTH)
     check_energy(exact, reflectance, transmittance, ["transmittance"])
