@@ -11,9 +11,10 @@ from pepperscene.camera.sensor.indices import INDICES, has_index, spectral_index
 from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.dataset.store.images import recorded_bands
 from pepperscene.errors import InputError
-from pepperscene.review.report.colours import BACKGROUND, viridis_colours
+from pepperscene.review.report.colours import BACKGROUND
 
 Palette = Literal["viridis", "red-green"]
+_MAPS: Final[dict[Palette, str]] = {"viridis": "viridis", "red-green": "RdYlGn"}
 
 _RANGES: Final = {"ndvi": (0.0, 1.0), "ndre": (0.0, 0.6), "pri": (-0.1, 0.1)}
 """Of the colours. Chosen: from soil, and stressed leaves, to the greenest leaves."""
@@ -61,13 +62,10 @@ def index_picture(
 
 
 def _colours(fraction: NDArray[np.floating[Any]], palette: Palette) -> NDArray[np.uint8]:
-    known = np.where(np.isnan(fraction), 0.0, np.clip(fraction, 0.0, 1.0))
-    if palette == "red-green":
-        from matplotlib import colormaps
+    from matplotlib import colormaps
 
-        rgb = np.rint(255.0 * colormaps["RdYlGn"](known)[..., :3]).astype(np.uint8)
-    else:
-        rgb = viridis_colours(known)
+    known = np.nan_to_num(np.clip(fraction, 0.0, 1.0))
+    rgb = np.rint(255.0 * colormaps[_MAPS[palette]](known)[..., :3]).astype(np.uint8)
     rgb[np.isnan(fraction)] = BACKGROUND
     return rgb
 
