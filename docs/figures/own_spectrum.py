@@ -1,4 +1,4 @@
-"""Draws the picture of docs/how-to/own_spectrum.md: a plant with the leaves of its pigments, and with measured ones.
+"""Draws the picture of docs/how-to/own_spectrum.md: a plant with the leaves of its pigments, and measured ones.
 
     python docs/figures/own_spectrum.py [--cache FOLDER]
 
