@@ -1,4 +1,4 @@
-"""Draws the picture of docs/how-to/own_spectrum.md: a plant with the leaves of its pigments, and measured ones.
+"""Draws the picture of docs/how-to/own_spectrum.md: a plant with pigmented and with measured leaves.
 
     python docs/figures/own_spectrum.py [--cache FOLDER]
 
