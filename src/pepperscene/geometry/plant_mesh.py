@@ -123,19 +123,17 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
 
 def _states(plant: Plant, indices: IndexArray, batch: MeshBatch) -> FloatArray:
     """States `(n, v)` of organs: of one with a measured curve, its place among the curves of all organs."""
-    measured = {} if plant.grown_from is None else plant.grown_from.spectra
-    if not measured:
-        return batch.state
-    from scipy.special import ndtri
-
-    states = batch.state.copy()
-    for number, index in enumerate(indices):
-        kind = plant.kinds[plant.organs[index].kind]
+    measured = () if plant.grown_from is None else plant.grown_from.spectra
+    kinds = [plant.kinds[plant.organs[index].kind] for index in indices]
+    states = batch.state.copy() if measured else batch.state
+    for number, kind in enumerate(kinds):
         if kind.surface in measured:
+            from scipy.special import ndtri
+
             # A stem is one organ; the leading bits of a seed choose textures.
-            organ = plant.organs[0 if kind.form in ("internode", "node") else index]
-            place = organ.measures.get("seed", 0.5 / 2.0**16) * 2.0**16 % 1.0
-            states[number] = np.clip(0.5 + STATE_PER_SD * ndtri(max(place, 1e-9)), 0.0, 1.0)
+            organ = plant.organs[0 if kind.form in ("internode", "node") else indices[number]]
+            place = max(organ.measures.get("seed", 0.5 / 2.0**16) * 2.0**16 % 1.0, 1e-9)
+            states[number] = np.clip(0.5 + STATE_PER_SD * ndtri(place), 0.0, 1.0)
     return states
 
 

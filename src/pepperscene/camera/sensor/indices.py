@@ -48,13 +48,24 @@ def spectral_index(name: str, reflectance: NDArray[Any], bands_nm: ArrayLike) ->
 
 def has_index(name: str, bands_nm: ArrayLike) -> bool:
     """Whether there are bands for an index of `INDICES`."""
-    return all(_bands_between(limits, bands_nm).size for limits in INDICES[name])
+    return None not in [_band(limits, bands_nm) for limits in INDICES[name]]
 
 
-def index_bands(name: str, bands_nm: ArrayLike) -> tuple[int, int]:
+def index_bands(name: str, bands_nm: ArrayLike) -> list[int]:
     """The numbers of the two bands of an index; raises `InputError` if one is missing."""
-    first, second = (_band(name, limits, np.asarray(bands_nm, float)) for limits in INDICES[name])
-    return first, second
+    found = []
+    for low, high in INDICES[name]:
+        if (band := _band((low, high), bands_nm)) is None:
+            raise InputError(name, f"needs a band from {low:g} to {high:g} nm")
+        found.append(band)
+    return found
+
+
+def _band(limits_nm: tuple[float, float], bands_nm: ArrayLike) -> int | None:
+    """Number of the band in a range that is nearest to its middle; None if there is none."""
+    off = np.abs(np.asarray(bands_nm, float) - 0.5 * sum(limits_nm))
+    nearest = int(off.argmin())
+    return nearest if off[nearest] <= 0.5 * (limits_nm[1] - limits_nm[0]) else None
 
 
 def normalised_difference(reflectance: NDArray[Any], first: int, second: int) -> NDArray[Any]:
@@ -63,16 +74,3 @@ def normalised_difference(reflectance: NDArray[Any], first: int, second: int) ->
     total = a + b
     unknown = np.where(np.isnan(total), np.nan, 0.0)
     return np.divide(a - b, total, out=unknown, where=total > 0)
-
-
-def _band(name: str, limits_nm: tuple[float, float], bands_nm: NDArray[np.float64]) -> int:
-    """Number of the band in a range that is nearest to its middle."""
-    inside = _bands_between(limits_nm, bands_nm)
-    if not inside.size:
-        raise InputError(name, f"needs a band from {limits_nm[0]:g} to {limits_nm[1]:g} nm")
-    return int(inside[np.abs(bands_nm[inside] - 0.5 * sum(limits_nm)).argmin()])
-
-
-def _bands_between(limits_nm: tuple[float, float], bands_nm: ArrayLike) -> NDArray[np.intp]:
-    nm = np.asarray(bands_nm, float)
-    return np.flatnonzero((limits_nm[0] <= nm) & (nm <= limits_nm[1]))

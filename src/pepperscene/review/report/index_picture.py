@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from pepperscene.camera.sensor.indices import INDICES, has_index, spectral_index
 from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.dataset.store.images import recorded_bands
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.review.report.colours import BACKGROUND
 
 Palette = Literal["viridis", "red-green"]
-_MAPS: Final[dict[Palette, str]] = {"viridis": "viridis", "red-green": "RdYlGn"}
-
+_MAPS: Final = {"viridis": "viridis", "red-green": "RdYlGn"}
 _RANGES: Final = {"ndvi": (0.0, 1.0), "ndre": (0.0, 0.6), "pri": (-0.1, 0.1)}
 """Of the colours. Chosen: from soil, and stressed leaves, to the greenest leaves."""
 _WIDTH_PX: Final = 320  # least width, at which the scale can be read: chosen
@@ -48,12 +47,14 @@ def index_picture(
         `(h, w, 3)` uint8, sRGB.
 
     Raises:
-        ArgumentError: there is no such index.
+        ArgumentError: there is no such index or palette.
         InputError: the image has no reflectance, or not the bands of the index.
     """
     bands = [band.centre_nm for band in recorded_bands(image.metadata)]
     if image.reflectance is None or not bands:
         raise InputError(image.name, "has no reflectance in bands")
+    if palette not in _MAPS:
+        raise ArgumentError("palette", f"must be one of {', '.join(_MAPS)}", value=palette)
     values, (low, high) = spectral_index(name, image.reflectance, bands), _RANGES[name]
     rgb = _colours((values - low) / (high - low), palette)
     factor = -(-_WIDTH_PX // rgb.shape[1])
