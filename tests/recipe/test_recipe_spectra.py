@@ -9,6 +9,7 @@ from own_spectra import NM, write_csv, write_leaf
 
 from pepperscene.building.execution.job import BuildJob
 from pepperscene.errors import InputError
+from pepperscene.recipe.resolve.frame_setups import FrameSetups
 from pepperscene.recipe.resolve.load import load_recipe, resolve_recipe
 from pepperscene.review.preview.summary import summarise_plan
 from pepperscene.tuning.pigment_paths import visible_surfaces
@@ -49,7 +50,7 @@ def test_identity_follows_the_content_of_the_file_and_not_its_folder(curves, wri
     changed = load_recipe(recipe).identity()
     assert changed["recipe"] == identity["recipe"]
     differing = {key for key in identity["files"] if identity["files"][key] != changed["files"][key]}
-    assert differing == {"override.spectra.leaf.csv"}
+    assert differing == {"override.spectra.leaf.file.0"}
     # A file of a cultivar counts as well.
     (tmp_path / "own.toml").write_text(
         'extends = "kaite"\nname = "own"\n[spectra.leaf]\nfile = "curves/leaf.csv"\n', encoding="utf-8"
@@ -60,6 +61,32 @@ def test_identity_follows_the_content_of_the_file_and_not_its_folder(curves, wri
         write_leaf(curves, factor)
         digests.append(load_recipe(own).sha256())
     assert digests[0] != digests[1]
+
+
+def test_twins_and_varied_values_can_name_curves(curves, write_recipe):
+    write_csv(curves / "pale.csv", "wavelength_nm,reflectance,transmittance", NM, 0 * NM + 0.5, 0 * NM + 0.4)
+    pair = ["curves/leaf.csv", "curves/pale.csv"]
+    twins = write_recipe(override=LEAF, twins={"override.spectra.leaf.file": pair})
+    spectra = {"leaf": {"file": {"in_turn": pair, "per": "set"}}}
+    varied = write_recipe("varied.toml", override={"spectra": spectra})
+    for recipe in (twins, varied):
+        setups = FrameSetups(resolve_recipe(recipe))
+        plan = setups.resolved.recipe.plan
+        frames = [plan.frame(index) for index in (0, plan.frames, plan.count // plan.sets)]
+        files = {setups.at(frame).cultivar.spectra["leaf"].file for frame in frames}
+        assert files == {curves / "leaf.csv", curves / "pale.csv"}
+        digests = [load_recipe(recipe).sha256()]
+        write_leaf(curves, 0.9)
+        digests.append(load_recipe(recipe).sha256())
+        write_csv(
+            curves / "pale.csv", "wavelength_nm,reflectance,transmittance", NM, 0 * NM + 0.4, 0 * NM + 0.5
+        )
+        digests.append(load_recipe(recipe).sha256())
+        assert len(set(digests)) == 3
+        write_leaf(curves)
+        write_csv(
+            curves / "pale.csv", "wavelength_nm,reflectance,transmittance", NM, 0 * NM + 0.5, 0 * NM + 0.4
+        )
 
 
 def test_range_is_noted_in_preview_and_data_set(curves, write_recipe):

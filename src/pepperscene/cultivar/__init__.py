@@ -6,7 +6,7 @@ plant needs, each with its `source`, or `chosen` with the reason. Lengths are me
 
 from pepperscene.cultivar.cultivar import Cultivar, interpolate_cultivars, load_cultivar
 from pepperscene.cultivar.distribution import Distribution, Origin
-from pepperscene.cultivar.inheritance import cultivar_files, curve_files, resolve_curves
+from pepperscene.cultivar.inheritance import cultivar_files
 from pepperscene.cultivar.notation import Ratio, parse_distribution
 from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Blade, Fruit, OrganForm, OrganKind, OrganModel
 from pepperscene.cultivar.slot import Slot
@@ -32,9 +32,7 @@ __all__ = [
     "Slot",
     "Stem",
     "cultivar_files",
-    "curve_files",
     "interpolate_cultivars",
     "load_cultivar",
     "parse_distribution",
-    "resolve_curves",
 ]
