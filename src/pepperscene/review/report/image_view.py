@@ -24,10 +24,10 @@ from pepperscene.review.report.label_regions import packed_labels
 
 TITLES: Final[Mapping[str, str]] = {
     "colour": "Colour",
+    **{name: f"Spectral index {name.upper()}" for name in INDICES},
     "class": "Class",
     "instance": "Organ instance",
     "distance": "Distance along the ray",
-    **{name: f"Spectral index {name.upper()}" for name in INDICES},
 }
 """Titles of the panels, in the order of display."""
 
@@ -111,6 +111,8 @@ def image_view(image: LabelledImage, near_m: float, far_m: float, max_length: in
     class_pixels: dict[OrganClass, int] = {}
     if image.colour is not None:
         panels["colour"] = image.colour
+    for name in available_indices(image):
+        panels[name] = index_picture(image, name)
     if image.classes is not None:
         panels["class"] = class_colours(image.classes)
         counts = np.bincount(image.classes.ravel(), minlength=len(OrganClass))
@@ -119,8 +121,6 @@ def image_view(image: LabelledImage, near_m: float, far_m: float, max_length: in
         panels["instance"] = instance_colours(image.instances)
     if image.distance_m is not None:
         panels["distance"] = distance_colours(image.distance_m, near_m, far_m)
-    for name in available_indices(image):
-        panels[name] = index_picture(image, name)
     height, width = image.size
     labels = packed_labels(image, None if max_length is None else round(_LABELS_PART * max_length))
     return ImageView(image.name, image.metadata, panels, class_pixels, height * width, labels, max_length)

@@ -55,7 +55,6 @@ def recipe_facts(info: Mapping[str, Any]) -> dict[str, str]:
         "Rows": f"{plants}, {spacing}",
         "Exposure": "varied" if is_varied(info, "camera.exposure_us") else exposure,
         "Daylight": "varied" if is_varied(info, "daylight.illuminance_lx") else daylight,
-        **({"Measured spectra": "; ".join(info["measured_spectra"])} if info.get("measured_spectra") else {}),
         "Version": info["version"],
         "Recipe SHA-256": info["recipe_sha256"][:12] + "…",
     }
