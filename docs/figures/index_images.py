@@ -483,6 +483,15 @@ def bands_notebook() -> Image.Image:
     return image
 
 
+def own_spectrum() -> Image.Image:
+    """A measured leaf, and its NDVI, from the picture of the page."""
+    page = np.asarray(Image.open(IMAGES / "own_spectrum.jpg").convert("RGB"))
+    image = white()
+    for place, left in ((0, 648), (121, 972)):
+        image.paste(fill(page[:284, left : left + 320], (119, HEIGHT)), (place, 0))
+    return image
+
+
 def chemistry() -> Image.Image:
     """Chlorophyll and leaf age, from the picture of the page."""
     page = np.asarray(Image.open(IMAGES / "chemistry.jpg").convert("RGB"))
@@ -1201,8 +1210,8 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, bands_notebook, build, camera,
-    visibility, live, tasks, vary, motion, depth, bands, chemistry, read, learn, export, own_crop, cultivar,
-    outputs, harvest, check, plants, rendering, realism,
+    visibility, live, tasks, vary, motion, depth, bands, own_spectrum, chemistry, read, learn, export,
+    own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

@@ -23,6 +23,7 @@ from .camera import look_at as look_at
 from .camera import read_poses as read_poses
 from .camera import spline_trajectory as spline_trajectory
 from .camera import write_poses as write_poses
+from .camera.sensor.indices import spectral_index as spectral_index
 from .classes import CLASS_COLOURS as CLASS_COLOURS
 from .classes import Instance as Instance
 from .classes import OrganClass as OrganClass
@@ -100,6 +101,7 @@ from .render.viewpoints.planners import compare_planners as compare_planners
 from .review.check import CheckResult as CheckResult
 from .review.check import check_dataset as check_dataset
 from .review.report import write_report as write_report
+from .review.report.index_picture import index_picture as index_picture
 from .scene import Scene as Scene
 from .scene import Sky as Sky
 from .scene import Twine as Twine

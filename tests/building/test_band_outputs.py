@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -24,11 +25,11 @@ from pepperscene.frame import Frame
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import white_reference
 from pepperscene.review.check import check_dataset
+from pepperscene.review.report import write_report
 
 MULTISPECTRAL = {
     "camera.sensor": "micasense_rededge_mx", "camera.lens": "micasense_rededge_mx", "camera.flash": "none",
     "camera.width": SIZE[1], "camera.height": SIZE[0], "camera.exposure_us": 500,
-    "developing.white_balance": "daylight",
 }  # fmt: skip
 SCANNER = {
     **MULTISPECTRAL, "camera.sensor": "generic_line_scanner_vnir",
@@ -102,6 +103,12 @@ def test_readers_have_the_bands(dataset):
     assert image.reflectance.shape == image.radiance.shape == image.bands.shape == (*SIZE, 5)
     assert [band["centre_nm"] for band in image.metadata["camera"]["bands"]] == [475, 560, 668, 717, 842]
     np.testing.assert_array_equal(image.reflectance, dataset.image(2, "reflectance"))
+
+
+def test_report_shows_indices_with_their_scale(dataset):
+    page = write_report(dataset.folder, limit=1).page.read_text(encoding="utf-8")
+    shown = re.findall(r'alt="(Spectral index \w+) of frame 000000"', page)
+    assert shown == ["Spectral index NDVI", "Spectral index NDRE"]
 
 
 def test_check_finds_nothing_in_a_correct_set(dataset, scanned):

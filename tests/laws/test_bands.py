@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import colorsys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from bodies import EVEN_SKY, RANGE_NM, axis_camera, body, card, matt
+from own_spectra import NM, leaf_curve, write_leaf
 from prosail import run_prospect
 from scatterers import plain
 from scipy import stats
@@ -24,10 +27,10 @@ from pepperscene.camera import (
 )
 from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import Mesh, concatenate_meshes
-from pepperscene.materials import Surface, lambertian_surface
+from pepperscene.materials import Surface, lambertian_surface, organ_surfaces
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.render import Quality, Renderer
-from pepperscene.scene import Sky, assemble_scene, partly_cloudy_sky
+from pepperscene.scene import Scene, Sky, assemble_scene, partly_cloudy_sky
 from pepperscene.spectra import Spectrum, leaf_spectra
 
 
@@ -145,6 +148,61 @@ def test_bands_have_the_light_of_mitsubas_path_tracer():
     p = stats.ttest_ind(ours, reference, axis=0, equal_var=False).pvalue
     assert p.min() * 5 > 1e-3, (p, ours.mean(axis=0) / reference.mean(axis=0))
     assert ours.mean(axis=0) == pytest.approx(reference.mean(axis=0), rel=0.01)
+
+
+# --- a leaf's own spectrum ----------------------------------------------------------------------------------
+
+
+OWN_NM = np.arange(400.0, 1001.0, 1.0)
+FIVE_BANDS = gaussian_bands(np.array([475.0, 560.0, 668.0, 717.0, 842.0]), 14.0)
+
+
+def own_leaf(folder: Path, **table) -> Surface:
+    """The leaf surface of a cultivar with the curve of `leaf_curve`, from a file in a folder."""
+    curve = {"file": str(write_leaf(folder)), **table}
+    return plain(organ_surfaces(load_cultivar("kaite_clean", {"spectra": {"leaf": curve}}), OWN_NM)["leaf"])
+
+
+def over_white(camera: Camera, scene: Scene, samples: int = 1024) -> np.ndarray:
+    """`(c,)` mean of an image of a wall over that of a white one."""
+    quality = Quality(samples, samples, samples, 1, target=None, denoise=False)
+    image = Renderer(scene).render(camera, ["electrons"], quality)["electrons"].astype(float)
+    return image.mean(axis=(0, 1)) / electrons(camera, lambertian_surface("white", 1.0), EVEN_SKY, 256)
+
+
+def own_leaf_scene(folder: Path, *, is_backed: bool = True, **table) -> Scene:
+    surfaces = {"leaf": own_leaf(folder, **table), "black": lambertian_surface("black", 0.0)}
+    walls = [wall(0.5, "leaf"), *([wall(0.501, "black")] if is_backed else [])]
+    return assemble_scene(concatenate_meshes(walls), surfaces, EVEN_SKY)
+
+
+# An integrating sphere measures the directional-hemispherical reflectance. By reciprocity, a camera sees it
+# of a leaf that faces it under an even sky. The gloss of light in the cone of incidence of PROSPECT, which is
+# taken off the curve, is .1 % of the light more than that at right angles.
+@pytest.mark.parametrize(("gloss", "tolerance"), [(False, 1e-4), (True, 2e-3)], ids=["matt", "glossy"])
+def test_rendered_leaf_has_its_own_measured_curve(tmp_path, gloss, tolerance):
+    camera = small_camera(FIVE_BANDS, flash=False)
+    measured = over_white(camera, own_leaf_scene(tmp_path, gloss=gloss))
+    expected = seen(camera, NM, leaf_curve(NM)[0], EVEN_SKY)
+    assert measured == pytest.approx(expected, abs=tolerance + 1e-3 * expected.max())
+    assert ndvi(measured[2], measured[4]) == pytest.approx(ndvi(expected[2], expected[4]), abs=4 * tolerance)
+
+
+def test_rendered_leaf_transmits_its_own_measured_curve(tmp_path):
+    # Without a wall behind it, a leaf in an even sky has the radiance of its reflectance and transmittance.
+    camera = small_camera(FIVE_BANDS, flash=False)
+    measured = over_white(camera, own_leaf_scene(tmp_path, is_backed=False, gloss=False))
+    assert measured == pytest.approx(seen(camera, NM, sum(leaf_curve(NM)), EVEN_SKY), rel=0.002)
+
+
+def test_hue_of_a_leaf_is_that_of_its_own_measured_curve(tmp_path):
+    # The camera's red, green and blue over those of a white card, without a matrix.
+    camera = axis_camera(16, 12, flash=False)
+    measured = over_white(camera, own_leaf_scene(tmp_path, gloss=False))
+    expected = seen(camera, NM, leaf_curve(NM)[0], EVEN_SKY)
+    hues = [360.0 * colorsys.rgb_to_hsv(*rgb)[0] for rgb in (measured.tolist(), expected.tolist())]
+    assert hues[0] == pytest.approx(hues[1], abs=0.3)
+    assert 80.0 < hues[1] < 160.0
 
 
 # --- the white reference ------------------------------------------------------------------------------------

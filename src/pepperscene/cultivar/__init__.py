@@ -10,16 +10,18 @@ from pepperscene.cultivar.inheritance import cultivar_files
 from pepperscene.cultivar.notation import Ratio, parse_distribution
 from pepperscene.cultivar.organs import DEFAULT_KINDS, FORMS, Blade, Fruit, OrganForm, OrganKind, OrganModel
 from pepperscene.cultivar.slot import Slot
-from pepperscene.cultivar.structure import CALYX, PigmentPath, Pigments, Stem
+from pepperscene.cultivar.structure import CALYX, STATE_PER_SD, MeasuredCurve, PigmentPath, Pigments, Stem
 
 __all__ = [
     "CALYX",
     "DEFAULT_KINDS",
     "FORMS",
+    "STATE_PER_SD",
     "Blade",
     "Cultivar",
     "Distribution",
     "Fruit",
+    "MeasuredCurve",
     "OrganForm",
     "OrganKind",
     "OrganModel",

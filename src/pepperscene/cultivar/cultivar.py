@@ -10,14 +10,28 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from pepperscene.cultivar.distribution import Distribution, Origin
-from pepperscene.cultivar.inheritance import check_no_scans, defining_file, merge_chain, read_chain
+from pepperscene.cultivar.inheritance import (
+    check_no_scans,
+    defining_file,
+    merge_chain,
+    read_chain,
+    resolve_curves,
+)
 from pepperscene.cultivar.notation import Choice
 from pepperscene.cultivar.organs import DEFAULT_KINDS, AnyOrgan, OrganKind
 from pepperscene.cultivar.slot import Slot
-from pepperscene.cultivar.structure import CALYX, Key, PigmentPath, Pigments, Stem, check_structure
+from pepperscene.cultivar.structure import (
+    CALYX,
+    Key,
+    MeasuredCurve,
+    PigmentPath,
+    Pigments,
+    Stem,
+    check_structure,
+)
 from pepperscene.document import Document, toml_key, validate
 from pepperscene.errors import InputError
 
@@ -32,6 +46,7 @@ class Cultivar(Document):
         stem: the main stem.
         organs: kind -> its parameters and its slots.
         pigments: surface -> its path through pigment space.
+        spectra: surface -> its measured curve, which replaces the colour that the pigments give.
     """
 
     name: str
@@ -41,10 +56,11 @@ class Cultivar(Document):
     stem: Stem
     organs: dict[str, AnyOrgan]
     pigments: dict[str, PigmentPath]
+    spectra: dict[str, MeasuredCurve] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check_structure(self) -> Self:
-        check_structure(self.stem, self.organs, self.pigments)
+        check_structure(self.stem, self.organs, self.pigments, self.spectra)
         return self
 
     @property
@@ -79,7 +95,8 @@ def load_cultivar(name_or_path: str | Path, changes: Mapping[str, Any] | None = 
 
     Args:
         name_or_path: of the cultivar.
-        changes: tables that override those of the file, in its notation; they name no scans.
+        changes: tables that override those of the file, in its notation; they name no scans, and
+            measured curves relative to the current folder.
 
     Raises:
         InputError: not found, not TOML, or a parameter is missing, unknown or not allowed; for an error in
@@ -88,7 +105,9 @@ def load_cultivar(name_or_path: str | Path, changes: Mapping[str, Any] | None = 
     files = read_chain(name_or_path)
     if changes:
         check_no_scans(CHANGES, changes)
-        files = [(Path(CHANGES), copy.deepcopy(dict(changes))), *files]
+        changed = copy.deepcopy(dict(changes))
+        resolve_curves(changed, Path())
+        files = [(Path(CHANGES), changed), *files]
     tables = merge_chain(files)
     try:
         return validate(Cultivar, tables, files[0][0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -16,14 +17,14 @@ from pepperscene.shipped import find_file, is_file
 Tables = dict[str, Any]
 Chain = list[tuple[Path, Tables]]
 
-_MERGED_DEPTH: Final = {"stem": 2, "pigments": 2, "organs": 3}
+_MERGED_DEPTH: Final = {"stem": 2, "pigments": 2, "spectra": 2, "organs": 3}
 """Tables that are merged with those of the extended file, and the number of parts in a key replaced there."""
 
 
 def read_chain(name_or_path: str | Path) -> Chain:
     """Read a cultivar file, the file that it extends, and so on, with their tables.
 
-    Paths of scans become absolute.
+    Paths of scans and of measured curves become absolute.
 
     Raises:
         InputError: a file or a scan is missing or unreadable, or `extends` forms a cycle or is too long.
@@ -31,19 +32,36 @@ def read_chain(name_or_path: str | Path) -> Chain:
     files = extends_chain(find_file("plants", name_or_path), "plants")
     for path, tables in files:
         _resolve_scans(path, tables)
+        resolve_curves(tables, path.parent)
     return files
 
 
 def cultivar_files(name_or_path: str | Path) -> tuple[Path, ...]:
-    """Find all files that a cultivar depends on: its own, those that it extends, and scans of its fruit.
+    """Find all files that a cultivar depends on.
+
+    They are its own, those that it extends, scans of its fruit, and measured curves with their descriptions.
 
     Raises:
         InputError: as `read_chain`.
     """
     files = read_chain(name_or_path)
-    organs = _subtables(merge_chain(files).get("organs"))
-    scans = [Path(scan) for organ in organs.values() for scan in _scans(organ)]
-    return tuple(dict.fromkeys([file for file, _ in files] + scans))
+    tables = merge_chain(files)
+    scans = [Path(scan) for organ in _subtables(tables.get("organs")).values() for scan in _scans(organ)]
+    return tuple(dict.fromkeys([file for file, _ in files] + scans + curve_files(tables)))
+
+
+def curve_files(tables: Tables) -> list[Path]:
+    """Paths of the measured curves that a cultivar's tables name, and of the files that describe them."""
+    curves = _subtables(tables.get("spectra")).values()
+    files = [Path(curve["file"]) for curve in curves if isinstance(curve.get("file"), str)]
+    return files + [toml for file in files if is_file(toml := file.with_suffix(".toml"))]
+
+
+def resolve_curves(tables: Tables, folder: Path) -> None:
+    """Make the paths of a cultivar's measured curves absolute; those of a wrong type are refused later."""
+    for curve in _subtables(tables.get("spectra")).values():
+        if isinstance(curve.get("file"), str):
+            curve["file"] = os.path.normpath(folder.absolute() / curve["file"])
 
 
 def merge_chain(files: Chain) -> Tables:
@@ -131,7 +149,7 @@ def _merge_tables(base: Tables, override: Tables) -> Tables:
             organs = {name: _merge_organ(known.get(name), organ) for name, organ in value.items()}
             merged[key] = known | organs
         else:
-            merged[key] = known | value if key in ("stem", "pigments") else value
+            merged[key] = known | value if key in ("stem", "pigments", "spectra") else value
     return merged
 
 

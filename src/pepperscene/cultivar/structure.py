@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Final, Self
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 
 from pepperscene.cultivar.distribution import FloatArray, Origin
@@ -111,6 +112,53 @@ class PigmentPath(Origin):
         return {n: np.interp(x, known, [getattr(p, n) for _, p in self.knots]) for n in names}
 
 
+STATE_PER_SD: Final = 1.0 / 6.0
+"""States 0 to 1 of a measured surface are 3 standard deviations below and above the mean of its organs."""
+
+Columns = Annotated[
+    tuple[str, ...],
+    Field(min_length=1, max_length=1000),
+    BeforeValidator(lambda raw: (raw,) if isinstance(raw, str) else raw),
+]
+"""Names of columns: one, or those of several samples."""
+
+
+class MeasuredCurve(Document):
+    """A measured curve of a surface, instead of the colour of its pigments, and how organs vary about it.
+
+    Attributes:
+        file: CSV file; see `pepperscene.spectra.measured.read_measured`, also for both units.
+        reflectance: columns of the front. Several are samples: organs vary along their first principal
+            component, with the samples' standard deviation.
+        reflectance_below: columns of the back of a blade or petal; None for those of the front.
+        transmittance: columns of a blade or petal; None for "transmittance".
+        spread: standard deviation of a factor on the whole curve between organs, for a single sample.
+        gloss: whether the curve includes the light that a glossy cuticle reflects, which then has the index
+            and the roughness of the pigments' table; otherwise the surface is matt.
+    """
+
+    file: Path
+    reflectance: Columns = ("reflectance",)
+    reflectance_below: Columns | None = None
+    transmittance: Columns | None = None
+    unit: Literal["fraction", "percent"] | None = None
+    wavelength_unit: Literal["nm", "um"] | None = None
+    spread: Annotated[float, Field(ge=0.0, le=0.3)] = 0.0
+    gloss: bool = True
+    source: str = ""
+    chosen: str = ""
+
+    @model_validator(mode="after")
+    def _check_samples(self) -> Self:
+        count = len(self.reflectance)
+        for name in ("reflectance_below", "transmittance"):
+            if len(getattr(self, name) or self.reflectance) != count:
+                raise ValueError(f"{name} must have as many columns as reflectance, {count}")
+        if count > 1 and self.spread:
+            raise ValueError("spread must be left out: it is that of the samples")
+        return self
+
+
 CALYX: Final = "calyx"
 """Kind of every fruit's own calyx."""
 
@@ -123,7 +171,9 @@ Key = tuple[str | int, ...]
 Organs = Mapping[str, OrganModel]
 
 
-def check_structure(stem: Stem, organs: Organs, surfaces: Mapping[str, Any]) -> None:
+def check_structure(
+    stem: Stem, organs: Organs, surfaces: Mapping[str, Any], curves: Mapping[str, MeasuredCurve]
+) -> None:
     """Check conditions across tables.
 
     Raises:
@@ -152,6 +202,13 @@ def check_structure(stem: Stem, organs: Organs, surfaces: Mapping[str, Any]) -> 
             earlier = [other.name for other in organ.bears[:index]]
             _check_slot(("organs", name, "bears", index), slot, organ.form == "node", earlier, organs)
     _check_recursion(organs)
+    sheets = {organ.kind.surface for organ in organs.values() if organ.form in ("blade", "flower")}
+    for name, curve in curves.items():
+        if name not in surfaces:
+            raise _error(("spectra", name), None, f"must be one of the pigments: {', '.join(surfaces)}")
+        for key in ("transmittance", "reflectance_below") if name not in sheets else ():
+            if getattr(curve, key) is not None:
+                raise _error(("spectra", name, key), None, "must be left out: only blades and petals have it")
 
 
 def _error(key: Key, value: object, allowed: str) -> ValidationError:

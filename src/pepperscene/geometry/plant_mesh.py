@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from pepperscene.classes import Appearance, Instance
+from pepperscene.cultivar import STATE_PER_SD
 from pepperscene.cultivar.organs import FruitScans, OrganForm
 from pepperscene.geometry.batch import MeshBatch, form_indices
 from pepperscene.geometry.blade.blades import mesh_blades
@@ -97,7 +98,7 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
         vertices=_join([batch.vertices.reshape(-1, 3) for _, batch in parts]),
         normals=_join([batch.normals.reshape(-1, 3) for _, batch in parts]),
         uv=_join([batch.uv.reshape(-1, 2) for _, batch in parts]),
-        state=_join([batch.state.ravel() for _, batch in parts]),
+        state=_join([_states(plant, indices, batch).ravel() for indices, batch in parts]),
         faces=np.concatenate(faces),
         face_instance=face_instance,
         face_surface=surface[face_instance],
@@ -118,6 +119,22 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
         colour=_join_colours([batch for _, batch in parts]) if coloured else None,
         cultivars=() if plant.grown_from is None else (plant.grown_from,),
     )
+
+
+def _states(plant: Plant, indices: IndexArray, batch: MeshBatch) -> FloatArray:
+    """States `(n, v)` of organs: of one with a measured curve, its place among the curves of all organs."""
+    measured = () if plant.grown_from is None else plant.grown_from.spectra
+    kinds = [plant.kinds[plant.organs[index].kind] for index in indices]
+    states = batch.state.copy() if measured else batch.state
+    for number, kind in enumerate(kinds):
+        if kind.surface in measured:
+            from scipy.special import ndtri
+
+            # A stem is one organ; the leading bits of a seed choose textures.
+            organ = plant.organs[0 if kind.form in ("internode", "node") else indices[number]]
+            place = max(organ.measures.get("seed", 0.5 / 2.0**16) * 2.0**16 % 1.0, 1e-9)
+            states[number] = np.clip(0.5 + STATE_PER_SD * ndtri(place), 0.0, 1.0)
+    return states
 
 
 def _join_colours(batches: Sequence[MeshBatch]) -> SingleArray:

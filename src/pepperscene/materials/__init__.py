@@ -2,12 +2,14 @@
 
 from pepperscene.materials.greenhouse import greenhouse_surfaces, twine_surface
 from pepperscene.materials.leaf import leaf_body, leaf_optics
+from pepperscene.materials.measured import curve_notes
 from pepperscene.materials.organs import organ_surfaces
 from pepperscene.materials.rind import cut_surface, flesh_reflectance, rind_reflectance
 from pepperscene.materials.surface import Surface, lambertian_surface
 
 __all__ = [
     "Surface",
+    "curve_notes",
     "cut_surface",
     "flesh_reflectance",
     "greenhouse_surfaces",

@@ -62,7 +62,13 @@ def leaf_body(
     than once stays with the body. A glossier cuticle sends part of what comes through the sheet back to the
     other side (`pepperscene.render.surface.scattering`); that is taken off as well.
     """
-    upper, lower, transmittance = leaf_optics(path, wavelength_nm, states)
+    return under_cuticle(path, *leaf_optics(path, wavelength_nm, states))
+
+
+def under_cuticle(
+    path: PigmentPath, upper: FloatArray, lower: FloatArray, transmittance: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Reflectances and transmittance of the body that has those of the sheet `(s, n)`: see `leaf_body`."""
     entering = [1.0 - mean_gloss(path, side) for side in (0, 1)]
     opens = [mean_openness(path, side) for side in (0, 1)]
     leaving = [min(opens) / openness for openness in opens]

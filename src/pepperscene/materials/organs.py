@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from pepperscene.cultivar import Blade, Cultivar, Fruit, OrganForm, OrganModel
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.materials.leaf_textures import leaf_textures
+from pepperscene.materials.measured import measured_surface
 from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.rind import cut_surface, fruit_surface, green_surface
 from pepperscene.materials.rind_textures import FruitSkin
@@ -63,6 +64,8 @@ def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> 
     size_mm = _size_mm(cultivar, kind, cultivar.kinds[kind].form)
     drawn_mm = float(np.clip(size_mm[0], *SIZES_MM)), float(np.clip(size_mm[1], *SIZES_MM))
     surface = _drawn_surface(cultivar, kind, name, nm, drawn_mm)
+    if name in cultivar.spectra:
+        surface = measured_surface(surface, cultivar.spectra[name], cultivar.pigments[name])
     scale = min(size / drawn for size, drawn in zip(size_mm, drawn_mm, strict=True))
     if scale == 1.0 or surface.relief_mm is None:
         return surface

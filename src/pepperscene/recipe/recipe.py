@@ -57,6 +57,16 @@ FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
 """Keys whose values name files, and the folder of the shipped ones; None for cultivars."""
 
 
+def curve_keys(tables: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """Keys of the files of measured curves in a recipe's tables, whose values may be of a wrong type."""
+    override, twins = tables.get("override"), tables.get("twins")
+    curves = override.get("spectra") if isinstance(override, dict) else None
+    names = [*curves] if isinstance(curves, dict) else []
+    dotted = [key.split(".") for key in twins] if isinstance(twins, dict) else []
+    names += [key[2] for key in dotted if key[:2] + key[3:] == ["override", "spectra", _REFERENCE]]
+    return tuple(("override", "spectra", name, _REFERENCE) for name in dict.fromkeys(names))
+
+
 class Recipe(Document):
     """A recipe fully defines a data set: with the package version it determines every byte of a frame.
 
@@ -153,13 +163,16 @@ class Recipe(Document):
                     # Files of the same name in different folders.
                     part += f".{number}" if part in files else ""
                 files |= _fingerprints(part, folder, name)
+        for key in curve_keys({"override": self.override, "twins": self.twins}):
+            for number, file in enumerate(map(Path, self._names(key))):
+                files[f"{'.'.join(key)}.{number}"] = _fingerprint(file, atomic.digest(file, "spectra"))
         return {"recipe": _without_folders(recipe), "files": files}
 
     def _names(self, key: tuple[str, ...]) -> list[str]:
         """All names of files that a key can have in any frame; the recipe's own comes first."""
         value: Any = self
         for part in key:
-            value = getattr(value, part, None)
+            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
         dotted = ".".join(key)
         varied = [name for v in self.variation if v.name == dotted for name in v.extremes]
         rig = [camera.camera.get(key[1]) for camera in self.rig if key[0] == "camera"]

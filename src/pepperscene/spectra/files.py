@@ -6,6 +6,7 @@ import csv
 import io
 import itertools
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -77,20 +78,14 @@ def read_spectra(path: str | Path, *, outside: Outside = "zero") -> dict[str, Sp
         InputError: the file does not exist or is not such a table; row and column are named.
     """
     file = spectra_file(path)
-    header, rows = _read_table(file)
+    header, rows = read_table(file)
     wavelength_nm = rows[:, 0]
-    low, high = WAVELENGTH_RANGE_NM
-    for row, nm in enumerate(wavelength_nm):
-        if not low <= nm <= high:
-            raise _cell_error(file, row, WAVELENGTH_KEY, nm, f"must be in nanometres, {low:g} to {high:g}")
-        if row and nm < wavelength_nm[row - 1] + LEAST_STEP_NM:
-            allowed = f"must be greater than in the row above, by {LEAST_STEP_NM:g} at least"
-            raise _cell_error(file, row, WAVELENGTH_KEY, nm, allowed)
+    check_wavelengths(file, wavelength_nm)
     too_large = np.abs(rows) > LARGEST_VALUE
     if too_large.any():
         row, column = divmod(int(np.argmax(too_large)), len(header))
         allowed = f"must be between {-LARGEST_VALUE:g} and {LARGEST_VALUE:g}"
-        raise _cell_error(file, row, header[column], rows[row, column], allowed)
+        raise cell_error(file, row, header[column], rows[row, column], allowed)
     return {name: Spectrum(wavelength_nm, rows[:, i], outside) for i, name in enumerate(header) if i}
 
 
@@ -107,18 +102,34 @@ def read_spectrum(path: str | Path, column: str, *, outside: Outside = "zero") -
     return spectra[column]
 
 
-def _read_table(file: Path) -> tuple[list[str], FloatArray]:
-    """Header and numbers `(rows, columns)` of a CSV file."""
+def check_wavelengths(file: Path, wavelength_nm: FloatArray) -> None:
+    """Raise `InputError` if the wavelengths of a file are not in nanometres, or do not ascend."""
+    low, high = WAVELENGTH_RANGE_NM
+    for row, nm in enumerate(wavelength_nm):
+        if not low <= nm <= high:
+            raise cell_error(file, row, WAVELENGTH_KEY, nm, f"must be in nanometres, {low:g} to {high:g}")
+        if row and nm < wavelength_nm[row - 1] + LEAST_STEP_NM:
+            allowed = f"must be greater than in the row above, by {LEAST_STEP_NM:g} at least"
+            raise cell_error(file, row, WAVELENGTH_KEY, nm, allowed)
+
+
+def read_table(
+    file: Path, first: Sequence[str] = (WAVELENGTH_KEY,), plain: Callable[[str], str] = str.strip
+) -> tuple[list[str], FloatArray]:
+    """Header and numbers `(rows, columns)` of a CSV file; raises `InputError` if a cell is not a number.
+
+    `first` are the allowed names of the first column; `plain` makes names from the texts in the header.
+    """
     text = read_text(file, "spectra")
     try:
         lines = [line for line in csv.reader(io.StringIO(text)) if line]
     except csv.Error as error:
         raise InputError(file, f"is not a table of comma-separated values: {error}") from None
 
-    header = [name.strip() for name in lines[0]] if lines else []
-    if not header or header[0] != WAVELENGTH_KEY:
-        first = header[0] if header else None
-        raise InputError(file, f"must be named {WAVELENGTH_KEY}", key="first column", value=first)
+    header = [plain(name) for name in lines[0]] if lines else []
+    if not header or header[0] not in first:
+        found = lines[0][0] if header else None
+        raise InputError(file, f"must be named {' or '.join(first)}", key="first column", value=found)
     if len(header) < 2 or len(set(header)) < len(header) or not all(header):
         allowed = "must have at least one spectrum, and each name once"
         raise InputError(file, allowed, key="header", value=",".join(header))
@@ -137,7 +148,7 @@ def _read_table(file: Path) -> tuple[list[str], FloatArray]:
     if not np.isfinite(numbers).all():
         bad = int(np.argmin(np.isfinite(numbers)))
         row, column = divmod(bad, len(header))
-        raise _cell_error(file, row, header[column], cells[bad], "must be a finite number")
+        raise cell_error(file, row, header[column], cells[bad], "must be a finite number")
     return header, numbers.reshape(-1, len(header))
 
 
@@ -148,7 +159,7 @@ def _float_or_nan(cell: str) -> float:
         return math.nan
 
 
-def _cell_error(file: Path, row: int, column: str, value: object, allowed: str) -> InputError:
+def cell_error(file: Path, row: int, column: str, value: object, allowed: str) -> InputError:
     """Error that counts rows like a text editor: the header is row 1."""
     value = float(value) if isinstance(value, float) else value  # not a NumPy scalar in the message
     return InputError(file, allowed, key=f"row {row + 2}, column {column}", value=value)
@@ -224,5 +235,5 @@ def read_curve(path: Path, table: str, file: str, column: str) -> Spectrum:
     curve = read_spectrum(csv_file, column)
     if (curve.values < 0).any():
         row = int(np.argmax(curve.values < 0))
-        raise _cell_error(csv_file, row, column, float(curve.values[row]), "must be at least 0")
+        raise cell_error(csv_file, row, column, float(curve.values[row]), "must be at least 0")
     return curve

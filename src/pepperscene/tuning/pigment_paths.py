@@ -65,9 +65,9 @@ def state_distribution(cultivar: Cultivar, surface: str) -> StateDistribution | 
 
 
 def visible_surfaces(cultivar: Cultivar) -> tuple[str, ...]:
-    """Surfaces with pigments that grown organs show, in the order of the cultivar's file."""
+    """Surfaces whose pigments grown organs show, in the order of the cultivar's file; not measured ones."""
     surfaces = {cultivar.kinds[kind].surface for kind in cultivar.present_kinds}
-    return tuple(name for name in cultivar.pigments if name in surfaces)
+    return tuple(name for name in cultivar.pigments if name in surfaces - cultivar.spectra.keys())
 
 
 def _components(cultivar: Cultivar, kind: str, surface: str) -> list[Component]:

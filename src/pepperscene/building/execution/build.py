@@ -171,7 +171,8 @@ def build(
         raise
     made = sorted(reporter.rows)
     kept = set(indices).difference(made)
-    notes = (*reporter.errors.notes(), *_unlit_notes(folder.dataset, made, job.outputs))
+    spectra = job.recipe.spectra_notes
+    notes = (*spectra, *reporter.errors.notes(), *_unlit_notes(folder.dataset, made, job.outputs))
     return BuildResult(folder.dataset, tuple(made), tuple(sorted(kept)), notes)
 
 

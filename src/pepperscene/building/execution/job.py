@@ -108,6 +108,8 @@ class BuildJob:
             quality += f", target error {self.target_error:g}"
         info: dict[str, Any] = {"format": FORMAT, "version": __version__, "quality": quality}
         info |= {"recipe_sha256": digest(identity), **identity}
+        if self.recipe.spectra_notes:
+            info["measured_spectra"] = list(self.recipe.spectra_notes)
         if expect is not None:
             info["expect"] = file_values(expect, mode="json", exclude_none=True)
         return info

@@ -75,6 +75,7 @@ class DatasetFields(_Fields):
     version: Line
     recipe_sha256: Digest
     recipe: _Recipe
+    measured_spectra: list[Text] = []
 
 
 def _check_class(value: int) -> int:

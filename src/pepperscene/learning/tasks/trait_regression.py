@@ -1,7 +1,6 @@
 """Regression of a trait on the reflectance in bands: spectral indices, ridge, partial least squares.
 
-References: NDVI (Rouse et al. 1974, NASA SP-351), NDRE (Barnes et al. 2000, 5th Int. Conf. Precision Agric.),
-PRI (Gamon, Penuelas & Field 1992, Remote Sens. Environ. 41:35), ridge regression (Hoerl & Kennard 1970,
+References: ridge regression (Hoerl & Kennard 1970,
 Technometrics 12:55), partial least squares with one response (Wold, Sjostrom & Eriksson 2001, Chemom. Intell.
 Lab. Syst. 58:109).
 """
@@ -18,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.sensor.indices import INDICES, has_index, index_bands, normalised_difference
 from pepperscene.errors import InputError, SetupError
 
 FloatArray = NDArray[np.float64]
@@ -27,17 +27,6 @@ Predictor = Callable[[FloatArray], FloatArray]
 
 Regression = Callable[[FloatArray, FloatArray, FloatArray], Predictor]
 """From reflectances `(n, c)`, traits `(n,)` and the wavelength of each band `(c,)`, nm, to a predictor."""
-
-_NEAR_INFRARED: Final = (780.0, 900.0)
-"""Range of the plateau of leaves, in which a band at any wavelength will do."""
-
-INDICES: Final[Mapping[str, tuple[tuple[float, float], tuple[float, float]]]] = {
-    "ndvi": (_NEAR_INFRARED, (640.0, 690.0)),
-    "ndre": (_NEAR_INFRARED, (700.0, 740.0)),
-    "pri": ((526.0, 536.0), (565.0, 575.0)),
-}
-"""Normalised differences of two bands, the second subtracted from the first: the range of each one's centre,
-nm. Of several bands in a range, the one nearest to its middle is used."""
 
 _RIDGE: Final = 1e-3
 """Penalty of ridge regression, in variances of standardised bands. Chosen: small, but enough that similar
@@ -61,8 +50,7 @@ def index_regression(
     Raises:
         InputError: there is no band in one of its ranges.
     """
-    first, second = (_band(name, limits, bands_nm) for limits in INDICES[name])
-    return _line(reflectance, trait, first, second)
+    return _line(reflectance, trait, *index_bands(name, bands_nm))
 
 
 def best_index(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Predictor:
@@ -70,7 +58,7 @@ def best_index(reflectance: FloatArray, trait: FloatArray, _: FloatArray) -> Pre
     pairs = list(combinations(range(reflectance.shape[1]), 2))
     if not pairs:
         raise InputError("best_index", "needs two bands or more")
-    fits = [_correlation(_difference(reflectance, *pair), trait) for pair in pairs]
+    fits = [_correlation(normalised_difference(reflectance, *pair), trait) for pair in pairs]
     return _line(reflectance, trait, *pairs[int(np.argmax(fits))])
 
 
@@ -113,38 +101,16 @@ REGRESSIONS: Final[Mapping[str, Regression]] = {
 
 def has_bands(name: str, bands_nm: FloatArray) -> bool:
     """Whether a baseline can be computed from these bands."""
-    ranges = INDICES.get(name, ())
-    found = all(_bands_between(limits, bands_nm).size for limits in ranges)
-    return found and (name != "best_index" or len(bands_nm) > 1)
-
-
-def _band(name: str, limits_nm: tuple[float, float], bands_nm: FloatArray) -> int:
-    """Number of the band in a range that is nearest to its middle."""
-    inside = _bands_between(limits_nm, bands_nm)
-    if not inside.size:
-        problem = f"needs a band from {limits_nm[0]:g} to {limits_nm[1]:g} nm"
-        raise InputError(name, problem)
-    return int(inside[np.abs(bands_nm[inside] - 0.5 * sum(limits_nm)).argmin()])
-
-
-def _bands_between(limits_nm: tuple[float, float], bands_nm: FloatArray) -> NDArray[np.intp]:
-    return np.flatnonzero((limits_nm[0] <= bands_nm) & (bands_nm <= limits_nm[1]))
-
-
-def _difference(reflectance: FloatArray, first: int, second: int) -> FloatArray:
-    """Normalised differences `(n,)` of two bands; 0 where both are 0."""
-    a, b = reflectance[:, first], reflectance[:, second]
-    total = a + b
-    return np.asarray(np.where(total > 0, (a - b) / np.where(total > 0, total, 1.0), 0.0))
+    return (name not in INDICES or has_index(name, bands_nm)) and (name != "best_index" or len(bands_nm) > 1)
 
 
 def _line(reflectance: FloatArray, trait: FloatArray, first: int, second: int) -> Predictor:
-    index = _difference(reflectance, first, second)
+    index = normalised_difference(reflectance, first, second)
     deviation = index - index.mean()
     size = float(deviation @ deviation)
     slope = float(deviation @ (trait - trait.mean())) / size if size > 0 else 0.0
     offset = float(trait.mean() - slope * index.mean())
-    return lambda samples: offset + slope * _difference(samples, first, second)
+    return lambda samples: offset + slope * normalised_difference(samples, first, second)
 
 
 def _correlation(index: FloatArray, trait: FloatArray) -> float:

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from pepperscene.document import extends_chain
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.recipe.recipe import FILE_FOLDERS, Recipe
+from pepperscene.recipe.recipe import FILE_FOLDERS, Recipe, curve_keys
 from pepperscene.recipe.resolve.load_camera import NamedFiles
 from pepperscene.recipe.resolve.merge import merge_layer, merge_tables
 from pepperscene.recipe.resolve.parse import check_outcomes, parse_recipe
@@ -212,7 +212,7 @@ def _first_with_other_views(layers: Sequence[_Layer]) -> int:
 def _resolve_paths(table: dict[str, Any], folder: Path) -> None:
     """Make the paths in a recipe's table absolute; values of a wrong type are left to validation."""
     twins, rig = table.get("twins"), table.get("rig")
-    for *outer, last in FILE_FOLDERS:
+    for *outer, last in (*FILE_FOLDERS, *curve_keys(table)):
         inner: Any = table
         for key in outer:
             inner = inner.get(key) if isinstance(inner, dict) else None

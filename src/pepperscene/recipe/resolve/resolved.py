@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from pepperscene.errors import NEEDS_PERMISSION, InputError
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolve.load_camera import NamedFiles, load_camera, load_depth_camera
+from pepperscene.recipe.resolve.load_camera import (
+    NamedFiles,
+    load_camera,
+    load_depth_camera,
+    surface_wavelengths,
+)
 from pepperscene.recipe.tables import GrowthTable
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews
 from pepperscene.scene import Greenhouse
@@ -47,6 +52,17 @@ class ResolvedRecipe:
     def identity(self) -> Mapping[str, Any]:
         """`Recipe.identity` of the recipe, computed once."""
         return self.recipe.identity()
+
+    @cached_property
+    def spectra_notes(self) -> tuple[str, ...]:
+        """Sentences on the measured curves of organs, in the range of all cameras; see `curve_notes`."""
+        if not self.cultivar.spectra:
+            return ()
+        from pepperscene.materials import curve_notes
+
+        cameras = [camera for camera in (self.camera, self.depth_camera and self.depth_camera.left) if camera]
+        seen = [surface_wavelengths(camera.sensor)[[0, -1]] for camera in cameras]
+        return curve_notes(self.cultivar, min(nm[0] for nm in seen), max(nm[1] for nm in seen))
 
     def with_seed(self, seed: int | None) -> ResolvedRecipe:
         """The same with another seed, or itself if that is None; see `Recipe.with_seed`."""
@@ -185,11 +201,16 @@ def _load_changed_cultivar(recipe: Recipe, where: str | Path, name: str) -> Cult
     from pepperscene.cultivar.cultivar import CHANGES
 
     try:
-        return load_cultivar(name, recipe.override)
+        cultivar = load_cultivar(name, recipe.override)
     except InputError as error:
         if error.where != CHANGES:
             raise
         raise InputError(where, error.problem, key=f"override.{error.key}", value=error.value) from None
+    if cultivar.spectra:
+        from pepperscene.materials import curve_notes
+
+        curve_notes(cultivar, 0.0, 0.0)  # reads and checks the curves
+    return cultivar
 
 
 def _fraction_of_time(growth: GrowthTable, first: Cultivar, last: Cultivar, where: str | Path) -> float:

@@ -76,7 +76,7 @@ def pigment_model(surface: Surface, cultivar: Cultivar | None) -> PigmentModel |
         stem = cultivar.kinds[cultivar.stem.node].surface
         path, last = cultivar.pigments[stem], np.ones(1)
         return PigmentModel(stem, last, _knot_weights(path, last), np.zeros(len(states), np.intp), _scar)
-    if surface.name not in cultivar.pigments:
+    if surface.name not in cultivar.pigments or surface.name in cultivar.spectra:
         return None
     path = cultivar.pigments[surface.name]
     forms = {kind.form for kind in cultivar.kinds.values() if kind.surface == surface.name}

@@ -142,7 +142,7 @@ def summarise_plan(resolved: ResolvedRecipe, indices: Sequence[int]) -> PlanSumm
         cameras=tuple(_summarise_camera(resolved, number) for number in range(plan.cameras)),
         varied=_summarise_variation(recipe),
         twins=dict(recipe.twins),
-        warnings=_warnings(recipe),
+        warnings=(*_warnings(recipe), *resolved.spectra_notes),
     )
 
 

@@ -17,7 +17,7 @@ VIRIDIS: Final = (
 )  # fmt: skip
 """Nine even steps of viridis (S. van der Walt and N. Smith 2015, CC0), as R's viridisLite prints them."""
 
-_BACKGROUND: Final = (13, 15, 20)  # chosen: nearly black, distinct from viridis' dark violet
+BACKGROUND: Final = (13, 15, 20)  # chosen: nearly black, distinct from viridis' dark violet
 _GOLDEN_RATIO: Final = 0.6180339887498949
 _STEPS_BETWEEN: Final = 30
 """Chosen: colours from one of viridis' steps to the next. With the background they are 242, which fit into a
@@ -40,7 +40,7 @@ def distance_colours(distance_m: NDArray[np.floating[Any]], near_m: float, far_m
     finite = np.isfinite(distance_m)
     distance = np.where(finite, distance_m, far_m)
     rgb = viridis_colours((far_m - distance) / max(far_m - near_m, 1e-9))
-    rgb[~finite] = _BACKGROUND
+    rgb[~finite] = BACKGROUND
     return rgb
 
 
@@ -64,7 +64,7 @@ def instance_colour(number: int) -> tuple[int, int, int]:
     saturations.
     """
     if number == 0:
-        return _BACKGROUND
+        return BACKGROUND
     value = 1.0 if number % 2 else 0.78
     saturation = 0.62 if number // 2 % 2 else 0.85
     red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN_RATIO % 1.0, saturation, value)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from pepperscene.camera.sensor.indices import INDICES
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.review.report.colours import distance_colours
 from pepperscene.review.report.image_view import TITLES, ImageView
@@ -45,7 +46,7 @@ def sheet_row(view: ImageView) -> SheetRow:
     panels = {}
     for key, panel in view.panels.items():
         # Labels must not be blended: a mixed colour would be another class.
-        resampling = Image.Resampling.LANCZOS if key == "colour" else Image.Resampling.NEAREST
+        resampling = Image.Resampling.LANCZOS if key in ("colour", *INDICES) else Image.Resampling.NEAREST
         size = (_PANEL_WIDTH, round(_PANEL_WIDTH * panel.shape[0] / panel.shape[1]))
         panels[key] = Image.fromarray(np.ascontiguousarray(panel)).resize(size, resampling)
     return SheetRow(panels, " · ".join(part for part in (view.title, view.location) if part))

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.sensor.indices import INDICES
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.review.report.colours import (
@@ -18,10 +19,12 @@ from pepperscene.review.report.colours import (
     jpeg_data_uri,
     png_data_uri,
 )
+from pepperscene.review.report.index_picture import available_indices, index_picture
 from pepperscene.review.report.label_regions import packed_labels
 
 TITLES: Final[Mapping[str, str]] = {
     "colour": "Colour",
+    **{name: f"Spectral index {name.upper()}" for name in INDICES},
     "class": "Class",
     "instance": "Organ instance",
     "distance": "Distance along the ray",
@@ -35,12 +38,18 @@ TABLE_COLUMNS: Final = (
 
 _IMAGES_LENGTH: Final = 11_500_000
 """Characters of all images of a page. Chosen: with all the rest, a page stays below 15 MB."""
-_LABELS_PART, _DISTANCE_PART = 0.5, 0.2
-"""Parts of an image's characters that its labels and its distances may take. Chosen: labels stay complete in
-pages of 100 frames of 800 x 600 pixels."""
+_LABELS_PART, _DISTANCE_PART, _INDEX_PART = 0.5, 0.2, 0.15
+"""Parts of an image's characters that its labels, its distances and each index may take. Chosen: labels stay
+complete in pages of 100 frames of 800 x 600 pixels."""
 _PLACEHOLDER: Final = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
 """One transparent pixel: images of labels until the page's script draws them."""
-_LABELS: Final = {"colour": "Colour", "class": "Class", "instance": "Instance", "distance": "Distance"}
+_LABELS: Final = {
+    "colour": "Colour",
+    "class": "Class",
+    "instance": "Instance",
+    "distance": "Distance",
+    **{name: name.upper() for name in INDICES},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +111,8 @@ def image_view(image: LabelledImage, near_m: float, far_m: float, max_length: in
     class_pixels: dict[OrganClass, int] = {}
     if image.colour is not None:
         panels["colour"] = image.colour
+    for name in available_indices(image):
+        panels[name] = index_picture(image, name)
     if image.classes is not None:
         panels["class"] = class_colours(image.classes)
         counts = np.bincount(image.classes.ravel(), minlength=len(OrganClass))
@@ -199,6 +210,8 @@ def _pictures(view: ImageView) -> list[Picture]:
     if "distance" in view.panels:
         part = None if limit is None else round(_DISTANCE_PART * limit)
         uris["distance"] = png_data_uri(view.panels["distance"], max_length=part)
+    for name in (name for name in INDICES if name in view.panels):
+        uris[name] = jpeg_data_uri(view.panels[name], None if limit is None else round(_INDEX_PART * limit))
     if "colour" in view.panels:
         others = len(view.labels or "") + len(uris.get("distance", ""))
         uris["colour"] = jpeg_data_uri(view.panels["colour"], None if limit is None else limit - others)

@@ -202,6 +202,7 @@ def _page_html(
         cultivar=f"cultivar{'s' if len(cultivars) > 1 else ''} {', '.join(cultivars)}",
         planned=Plan.model_validate(recipe["plan"]).count,
         facts=sections.recipe_facts(info),
+        spectra=info.get("measured_spectra", ()),
         sets=sets,
         has_labels=any(card.labels is not None for item in sets for card in item.cards),
         switches=_SWITCHES,
