@@ -41,6 +41,7 @@ from pepperscene.export.surface import (
     SEED_POINTS,
     RangeImage,
     SeedPoints,
+    depth_png,
     mask_png,
     read_colour,
     read_label,
@@ -104,6 +105,7 @@ def point_file(
 
 
 _POINT_FILE: Final = "seed_points.ply"
+_DEPTH_UNIT_M: Final = 1 / MILLIMETRES
 
 
 def write_nerfstudio(job: ExportJob, folder: Path) -> None:
@@ -126,8 +128,8 @@ def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[s
     splits = scene_splits(job, indices)
     return {
         "camera_model": entries[0]["camera_model"],
-        # Nerfstudio ignores this key. It documents the unit.
-        "depth_unit_scale_factor": 1 / MILLIMETRES,
+        # Nerfstudio ignores this key. It documents the unit, which is that of its readers.
+        "depth_unit_scale_factor": _DEPTH_UNIT_M,
         "ply_file_path": _POINT_FILE,
         **{f"{split}_filenames": [paths[index] for index in members] for split, members in splits.items()},
         "frames": [{key: entry[key] for key in entry if key != "camera_model"} for entry in entries],
@@ -142,7 +144,7 @@ def _write_frames(job: ExportJob, place: Path, frames: Iterable[DatasetFrame]) -
     entries: list[dict[str, Any]] = []
     for frame in frames:
         surface, file = read_surface(frame), f"{frame.name}.png"
-        contents = {"images": frame.content("colour"), "depths": surface.depth_png()}
+        contents = {"images": frame.content("colour"), "depths": depth_png(surface.depth_z, _DEPTH_UNIT_M)}
         if job.has_ignored_pixels:
             contents["masks"] = mask_png(frame, surface)
         for name, content in contents.items():

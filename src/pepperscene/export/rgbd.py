@@ -3,7 +3,8 @@
 Formats: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats for images, trajectories and
 associations; https://wiki.ros.org/camera_calibration_parsers and REP 104,
 https://www.ros.org/reps/rep-0104.html, for `camera_info.yaml`; REP 118,
-https://www.ros.org/reps/rep-0118.html, for depth images of 16 bits in millimetres.
+https://www.ros.org/reps/rep-0118.html, for depth images of 16 bits in millimetres. Those of a depth camera
+with another unit have that unit, which the first line of `depth.txt` gives.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pepperscene.camera.optics.distortion import MODELS
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import InputError
 from pepperscene.export.job import ExportJob, open_groups, sequence_groups
-from pepperscene.export.surface import depth_png, read_surface, recorded_camera, size_error
+from pepperscene.export.surface import depth_png, depth_unit_m, read_surface, recorded_camera, size_error
 
 STEP_S: Final = 1.0
 """Time from a step to the next. Chosen: a data set has no clock."""
@@ -34,7 +35,8 @@ def write_rgbd(job: ExportJob, folder: Path) -> None:
 
     A sequence is a scene as one camera of one split sees it. Its time is the step of a frame, in seconds.
     `rgb.txt` and `depth.txt` list the images by time, `associations.txt` their pairs, and `groundtruth.txt`
-    the poses, camera to world. Depths are along the optical axis, in millimetres, 0 for none.
+    the poses, camera to world. Depths are along the optical axis, in the unit of the depth camera, or else in
+    millimetres, 0 for none.
     """
     _write_sequences(job, folder, lambda frame, _: read_surface(frame).depth_png())
 
@@ -49,44 +51,49 @@ def _measured_png(frame: DatasetFrame, camera: Camera) -> bytes:
     if depth.shape != (camera.height, camera.width):
         path = frame.dataset.path(frame.index, "depth_sensor")
         raise size_error(path, (camera.height, camera.width), depth.shape)
-    return depth_png(depth)
+    return depth_png(depth, depth_unit_m(frame))
 
 
 def _write_sequences(job: ExportJob, folder: Path, depth_of: Callable[[DatasetFrame, Camera], bytes]) -> None:
     """Write all files; `depth_of` makes the content of the depth image of a frame with its camera."""
     for place, indices, frames in open_groups(job, folder, sequence_groups(job)):
         times = [STEP_S * job.plan.frame(index).step for index in indices]
-        camera, poses = _write_images(place, frames, depth_of)
+        camera, poses, unit_m = _write_images(place, frames, depth_of)
         (place / "camera_info.yaml").write_text(_camera_info(camera), encoding="utf-8")
         write_poses(place / "groundtruth.txt", PoseList(np.array(poses), np.array(times)), "tum")
-        _write_tables(place, times, [f"{index:06d}.png" for index in indices])
+        _write_tables(place, times, [f"{index:06d}.png" for index in indices], unit_m)
 
 
 def _write_images(
     place: Path, frames: Iterable[DatasetFrame], depth_of: Callable[[DatasetFrame, Camera], bytes]
-) -> tuple[Camera, list[Any]]:
-    """Write the images of a sequence, and return its camera and poses; the camera must be one."""
+) -> tuple[Camera, list[Any], float]:
+    """Write the images of a sequence, and return its camera, poses and unit of depth, of which it has one."""
     for name in _IMAGES:
         (place / name).mkdir()
     first: Camera | None = None
-    poses = []
+    poses, unit_m = [], 0.0
     for frame in frames:
         camera = recorded_camera(frame)
         first = first or camera
         if _camera_info(camera) != _camera_info(first):
             problem = "must be the same in all frames of a sequence, which has one camera_info.yaml"
             raise InputError(frame.dataset.frame_path(frame.index), problem, key="camera")
+        unit_m = unit_m or depth_unit_m(frame)
+        if depth_unit_m(frame) != unit_m:
+            problem = "must be the same in all frames of a sequence"
+            raise InputError(frame.dataset.frame_path(frame.index), problem, key="depth_camera.depth_unit_m")
         (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
         (place / "depth" / f"{frame.name}.png").write_bytes(depth_of(frame, camera))
         poses.append(camera.pose)
     assert first is not None  # no group is empty
-    return first, poses
+    return first, poses, unit_m
 
 
-def _write_tables(place: Path, times: Sequence[float], files: Sequence[str]) -> None:
+def _write_tables(place: Path, times: Sequence[float], files: Sequence[str], unit_m: float) -> None:
     for name in _IMAGES:
         rows = [f"{time:.6f} {name}/{file}" for time, file in zip(times, files, strict=True)]
-        _write_lines(place / f"{name}.txt", ["# timestamp filename", *rows])
+        unit = [f"# metres per step: {unit_m:g}"] if name == "depth" else []
+        _write_lines(place / f"{name}.txt", [*unit, "# timestamp filename", *rows])
     pairs = [
         f"{time:.6f} rgb/{file} {time:.6f} depth/{file}" for time, file in zip(times, files, strict=True)
     ]

@@ -20,6 +20,7 @@ from pepperscene.units import NONE, file_values
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera
     from pepperscene.cultivar import Cultivar
+    from pepperscene.materials import Skin
     from pepperscene.scene import Cover
 
 
@@ -33,6 +34,7 @@ class ResolvedRecipe:
         camera: with the recipe's settings, without a pose.
         cover: between the sky and the crop, or None.
         depth_camera: with the recipe's settings, without a pose; None if the recipe has none.
+        skin: fine textures, or None.
         allow_code: whether the user has asked for the recipe's code to run. It is part of no file.
     """
 
@@ -41,6 +43,7 @@ class ResolvedRecipe:
     camera: Camera
     cover: Cover | None
     depth_camera: DepthCamera | None = None
+    skin: Skin | None = None
     allow_code: bool = False
 
     @cached_property
@@ -80,7 +83,8 @@ def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None 
     check_gutters(recipe, where)
     check_views(recipe, cultivar, where)
     depth_camera = load_depth_camera(recipe, where, files)
-    return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera)
+    skin = load_recipe_skin(recipe, where, files)
+    return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera, skin)
 
 
 def check_views(recipe: Recipe, cultivar: Cultivar, where: str | Path) -> None:
@@ -122,6 +126,16 @@ def load_recipe_cover(
 
     load = (files or NamedFiles()).load
     return load(load_cover, where or recipe.name, "daylight.cover", recipe.daylight.cover)
+
+
+def load_recipe_skin(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Skin | None:
+    """Load the fine textures, if there are any; arguments and errors as in `load_files`."""
+    if recipe.skin_texture == NONE:
+        return None
+    from pepperscene.materials.skin import load_skin
+
+    load = (files or NamedFiles()).load
+    return load(load_skin, where or recipe.name, "skin_texture", recipe.skin_texture)
 
 
 def load_recipe_cultivar(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Cultivar:
