@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import tomli_w
@@ -78,3 +81,22 @@ def test_invalid_files_give_one_sentence(tmp_path, values, problem):
 def test_an_unknown_skin_lists_the_shipped_ones():
     with pytest.raises(InputError, match="nor one of the shipped skins: pepper"):
         load_skin("silk")
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "devices.md").read_text(encoding="utf-8")
+SECTION = PAGE.split("\n## Skin\n")[1].split("\n## ")[0]
+
+
+def test_the_example_of_the_page_loads(tmp_path):
+    (example,) = re.findall(r"```toml\n(.*?)```", SECTION, re.DOTALL)
+    (tmp_path / "mine.toml").write_text(example, encoding="utf-8")
+    assert load_skin(tmp_path / "mine.toml").fruit.spots_per_cm2 == 12
+
+
+def test_the_page_lists_every_key_and_every_shipped_skin():
+    assert set(re.findall(r"^\| `(\w+)`", SECTION, re.MULTILINE)) == set(SkinTable.model_fields)
+    (row,) = (row for row in PAGE.splitlines() if "| `skins` |" in row)
+    assert set(re.findall(r"`(\w+)`", row.split("|")[3])) == set(SHIPPED)
+    for name in SHIPPED:
+        assert load_skin(name).licence
+        assert load_skin(name).sources

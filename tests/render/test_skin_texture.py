@@ -126,7 +126,7 @@ def test_no_part_is_repeated():
     surface = organ("fruit")
     uv = np.random.default_rng(3).uniform(0.0, 1.0 / 8.0, (5000, 2))
     parts = [
-        look_up(surface, uv + [column / 8.0, row / 8.0], 0.0, size_m=(8.0 * TILE_M, 8.0 * TILE_M))[0]
+        look_up(surface, uv + np.array([column, row]) / 8.0, 0.0, size_m=(8.0 * TILE_M, 8.0 * TILE_M))[0]
         for column in range(3)
         for row in range(3)
     ]

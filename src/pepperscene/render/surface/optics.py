@@ -33,7 +33,7 @@ from pepperscene.render.surface.scattering import (
     SurfacePlace,
     SurfacePoint,
 )
-from pepperscene.render.surface.skins import SkinTables
+from pepperscene.render.surface.skins import SkinTables, changed_reflectance
 from pepperscene.render.surface.tables import (
     channel_colours,
     channel_fractions,
@@ -212,15 +212,9 @@ class Optics:
         values = dr.gather(mi.Vector4f, self.organs, organ, active)
         surface, texture = mi.UInt32(values.x), mi.UInt32(dr.maximum(dr.abs(values.y) - 1.0, 0.0))
         texel = self.textures.look_up(si, surface, texture, values.y < 0.0, footprint, active)
-        skin = None
-        if self.skins is not None and footprint is not None:
-            skin = self.skins.look_up(si, surface, texture, footprint, active)
-            texel = replace(
-                texel,
-                residue=texel.residue * skin.residue,
-                slope_u=texel.slope_u + skin.slope_u,
-                slope_v=texel.slope_v + skin.slope_v,
-            )
+        skins = None if footprint is None else self.skins
+        skin = None if skins is None else skins.look_up(si, surface, texture, footprint, active)
+        texel = texel if skin is None else skin.added_to(texel)
         frame = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0))
         relief, blur = _relief(si, texel)
         wi = si.wi
@@ -236,7 +230,6 @@ class Optics:
         # The cuticle on the viewer's side, and how open both sides are.
         side = surface * 2 + dr.select(in_front, mi.UInt32(0), mi.UInt32(1))
         cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
-        # Slopes that a fine texture shows are no longer part of the roughness, which has twice as many.
         width = blur if skin is None else blur - skin.shown
         gloss = GlossLobes(cuticle.w, dr.square(cuticle.x) + width, dr.square(cuticle.y) + width, cuticle.z)
         cover = dr.clip(values.z * texel.residue, 0.0, _MOST_COVER)
@@ -306,9 +299,7 @@ class Optics:
             through = dr.select(place.is_scanned, 0.0, through)
             variance = dr.select(place.is_scanned, spread, variance)
         if place.change is not None:
-            # The first order of what more absorption does to a thick body (Kubelka & Munk 1931): none where
-            # it absorbs nothing. So reflectance and transmittance stay at most 1 together.
-            front, back = (side + place.change * side * (1.0 - side - through) for side in (front, back))
+            front, back = (changed_reflectance(side, through, place.change) for side in (front, back))
         squared, least = through * through * residue, 1e-6
         front_backed = front + cover_behind * squared / dr.maximum(1.0 - residue * back, least)
         back_backed = back + cover * squared / dr.maximum(1.0 - residue * front, least)

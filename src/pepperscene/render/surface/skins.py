@@ -14,7 +14,7 @@ narrower by the variance of the slopes that a level shows, so that the sum is th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pepperscene.materials import Surface
 from pepperscene.materials.skin import TEXEL_MM, TILE, SkinTile
 from pepperscene.render.arrays import device_array, device_float
+from pepperscene.render.surface.textures import TextureSample
 from pepperscene.render.variant import mitsuba_modules
 
 LEVELS: Final = TILE.bit_length()
@@ -44,6 +45,25 @@ class SkinSample:
     slope_u: Any
     slope_v: Any
     shown: Any
+
+    def added_to(self, texel: TextureSample) -> TextureSample:
+        """The textures of a surface with its fine texture; the change is left out."""
+        return replace(
+            texel,
+            residue=texel.residue * self.residue,
+            slope_u=texel.slope_u + self.slope_u,
+            slope_v=texel.slope_v + self.slope_v,
+        )
+
+
+def changed_reflectance(reflectance: Any, transmittance: Any, change: Any) -> Any:
+    """Reflectance of a body by a relative change where all other light is absorbed.
+
+    The change is in proportion to the absorbed light, as it is to the first order if a thick body absorbs
+    more (Kubelka & Munk 1931). So there is none where nothing is absorbed, and reflectance and transmittance
+    stay at most 1 together.
+    """
+    return reflectance + change * reflectance * (1.0 - reflectance - transmittance)
 
 
 @dataclass(frozen=True, eq=False)
