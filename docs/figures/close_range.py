@@ -26,7 +26,7 @@ from pepperscene.render import Renderer
 
 IMAGES: Final = Path(__file__).parents[2] / "docs" / "images"
 CULTIVAR, SEED = "kaite", 3
-DISTANCES_M: Final = (0.15, 0.2, 0.3, 0.4)
+DISTANCES_M: Final = (0.15, 0.2, 0.4)
 BEHIND_M: Final = 0.35  # of the wall
 NM: Final = np.arange(380.0, 781.0, 5.0)
 SIZE: Final = (420, 300)
@@ -79,8 +79,8 @@ def posed(camera: Camera, organ: Mesh, away: NDArray[np.float64], distance_m: fl
 
 def measure(
     renderer: Renderer, depth_camera: DepthCamera, distance_m: float, text: str
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Print holes and errors on the organ; its photograph and depth."""
+) -> tuple[NDArray[np.float32], float]:
+    """Print holes and errors on the organ; its depth, and the exposure time."""
     outputs = ("depth_z", "depth_sensor")
     frame = renderer.render(depth_camera.left, outputs, "draft", 3, partners=Partners(depth=depth_camera))
     organ = frame["depth_z"] < distance_m + 0.12
@@ -88,12 +88,12 @@ def measure(
     error_mm = 1e3 * np.abs(frame["depth_sensor"] - frame["depth_z"])[known]
     holes, near = 1.0 - known.sum() / organ.sum(), (error_mm < 14.0 * distance_m).mean()
     sys.stdout.write(
-        f"{text:12} {1e3 * distance_m:4.0f} mm: {holes:5.1%} holes, median error {np.median(error_mm):5.2f} mm, "
-        f"{near:4.0%} within 1.4 %\n"
+        f"{text:14} {1e3 * distance_m:4.0f} mm: {holes:5.1%} holes, "
+        f"median error {np.median(error_mm):5.2f} mm, {near:4.0%} within 1.4 %\n"
     )
-    exposure_s = frame.metadata["depth_camera"]["exposure_s"]
-    photograph = renderer.render(replace(depth_camera.left, exposure_s=exposure_s), ("colour",), "draft", 5)
-    return photograph["colour"], np.where(organ, frame["depth_sensor"], np.nan)
+    sys.stdout.flush()
+    exposure_s = float(frame.metadata["depth_camera"]["exposure_s"])
+    return np.where(organ, frame["depth_sensor"], np.nan), exposure_s
 
 
 def panels(colour: NDArray[np.uint8], depth_m: NDArray[np.float32], nearest_m: float) -> list[Image.Image]:
@@ -120,9 +120,11 @@ def main() -> None:
             renderer = Renderer(scene(organ, away, organ_surfaces(cultivar, NM, skin)))
             for distance_m in DISTANCES_M:
                 view = depth_camera.with_left(posed(depth_camera.left, organ, away, distance_m))
-                colour, depth_m = measure(renderer, view, distance_m, f"{kind} {text}")
+                depth_m, exposure_s = measure(renderer, view, distance_m, f"{kind} {text}")
                 if distance_m == DISTANCES_M[0]:
-                    pictures += panels(colour, depth_m, distance_m)
+                    exposed = replace(view.left, exposure_s=exposure_s)
+                    photograph = renderer.render(exposed, ("colour",), "draft", 5)
+                    pictures += panels(photograph["colour"], depth_m, distance_m)
     sheet = Image.new("RGB", (4 * SIZE[0], 2 * SIZE[1]))
     for number, picture in enumerate(pictures):
         sheet.paste(picture, (number % 4 * SIZE[0], number // 4 * SIZE[1]))

@@ -385,8 +385,7 @@ class FrameRenderer:
         cameras = [camera for other in distinct for camera in lit_cameras(other)]
         ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
-        limits = float(first), float(last)
-        surfaces = self._surfaces.surfaces(setup.cultivar, *limits, setup.skin, worker)
+        surfaces = self._surfaces.surfaces(setup.cultivar, float(first), float(last), worker, setup.skin)
         if worker is not None:
             # Its memory is not needed any more, while the row is still being made.
             worker.close()

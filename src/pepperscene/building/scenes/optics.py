@@ -41,8 +41,8 @@ class SurfaceFactory:
         cultivar: Cultivar,
         first_nm: float,
         last_nm: float,
-        skin: Skin | None = None,
         worker: FunctionWorker | None = None,
+        skin: Skin | None = None,
     ) -> dict[str, Surface]:
         """The surfaces of a cultivar and of the greenhouse by name.
 
@@ -50,8 +50,8 @@ class SurfaceFactory:
             cultivar: its organs.
             first_nm: first wavelength, nanometres.
             last_nm: last wavelength, nanometres.
-            skin: fine textures, or None.
             worker: another process that makes them, so that threads of this one can work meanwhile.
+            skin: fine textures, or None.
         """
         key = cultivar, first_nm, last_nm, skin
         if self._kept is None or self._kept[0] != key:
