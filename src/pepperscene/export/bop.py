@@ -294,19 +294,16 @@ def _camera_record(surface: RangeImage) -> dict[str, Any]:
         "cam_K": matrix.ravel().tolist(),
         "cam_R_w2c": to_camera.ravel().tolist(),
         "cam_t_w2c": (-MILLIMETRES * (to_camera @ camera.pose[:3, 3])).tolist(),
-        "depth_scale": _depth_scale(surface),
+        # Millimetres of a step, without the rounding errors of the product.
+        "depth_scale": round(MILLIMETRES * surface.depth_unit_m, 9),
     }
 
 
 def _camera_file(surface: RangeImage) -> dict[str, float]:
-    fx, _, cx, _, fy, cy, *_ = _camera_record(surface)["cam_K"]
-    size = {"width": surface.camera.width, "height": surface.camera.height}
-    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **size, "depth_scale": _depth_scale(surface)}
-
-
-def _depth_scale(surface: RangeImage) -> float:
-    """Millimetres of a step of the depth images, without the rounding errors of a product."""
-    return round(MILLIMETRES * surface.depth_unit_m, 9)
+    record, camera = _camera_record(surface), surface.camera
+    fx, _, cx, _, fy, cy, *_ = record["cam_K"]
+    size = {"width": camera.width, "height": camera.height}
+    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **size, "depth_scale": record["depth_scale"]}
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

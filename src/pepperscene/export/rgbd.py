@@ -58,42 +58,38 @@ def _write_sequences(job: ExportJob, folder: Path, depth_of: Callable[[DatasetFr
     """Write all files; `depth_of` makes the content of the depth image of a frame with its camera."""
     for place, indices, frames in open_groups(job, folder, sequence_groups(job)):
         times = [STEP_S * job.plan.frame(index).step for index in indices]
-        camera, poses, unit_m = _write_images(place, frames, depth_of)
-        (place / "camera_info.yaml").write_text(_camera_info(camera), encoding="utf-8")
+        camera_info, unit, poses = _write_images(place, frames, depth_of)
+        (place / "camera_info.yaml").write_text(camera_info, encoding="utf-8")
         write_poses(place / "groundtruth.txt", PoseList(np.array(poses), np.array(times)), "tum")
-        _write_tables(place, times, [f"{index:06d}.png" for index in indices], unit_m)
+        _write_tables(place, times, [f"{index:06d}.png" for index in indices], unit)
 
 
 def _write_images(
     place: Path, frames: Iterable[DatasetFrame], depth_of: Callable[[DatasetFrame, Camera], bytes]
-) -> tuple[Camera, list[Any], float]:
-    """Write the images of a sequence, and return its camera, poses and unit of depth, of which it has one."""
+) -> tuple[str, str, list[Any]]:
+    """Write the images of a sequence, and return its camera, unit of depth and poses; it has one of each."""
     for name in _IMAGES:
         (place / name).mkdir()
-    first: Camera | None = None
-    poses, unit_m = [], 0.0
+    first, poses = ("", ""), list[Any]()
     for frame in frames:
         camera = recorded_camera(frame)
-        first = first or camera
-        if _camera_info(camera) != _camera_info(first):
+        described = _camera_info(camera), f"# metres per step: {depth_unit_m(frame):g}"
+        first = first if poses else described
+        if described != first:
             problem = "must be the same in all frames of a sequence, which has one camera_info.yaml"
-            raise InputError(frame.dataset.frame_path(frame.index), problem, key="camera")
-        unit_m = unit_m or depth_unit_m(frame)
-        if depth_unit_m(frame) != unit_m:
-            problem = "must be the same in all frames of a sequence"
-            raise InputError(frame.dataset.frame_path(frame.index), problem, key="depth_camera.depth_unit_m")
+            key = "camera" if described[0] != first[0] else "depth_camera.depth_unit_m"
+            raise InputError(frame.dataset.frame_path(frame.index), problem, key=key)
         (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
         (place / "depth" / f"{frame.name}.png").write_bytes(depth_of(frame, camera))
         poses.append(camera.pose)
-    assert first is not None  # no group is empty
-    return first, poses, unit_m
+    return *first, poses
 
 
-def _write_tables(place: Path, times: Sequence[float], files: Sequence[str], unit_m: float) -> None:
+def _write_tables(place: Path, times: Sequence[float], files: Sequence[str], unit: str) -> None:
     for name in _IMAGES:
         rows = [f"{time:.6f} {name}/{file}" for time, file in zip(times, files, strict=True)]
-        unit = [f"# metres per step: {unit_m:g}"] if name == "depth" else []
-        _write_lines(place / f"{name}.txt", [*unit, "# timestamp filename", *rows])
+        comments = [*([unit] if name == "depth" else []), "# timestamp filename"]
+        _write_lines(place / f"{name}.txt", [*comments, *rows])
     pairs = [
         f"{time:.6f} rgb/{file} {time:.6f} depth/{file}" for time, file in zip(times, files, strict=True)
     ]

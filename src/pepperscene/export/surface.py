@@ -66,12 +66,9 @@ def depth_png(depth_m: NDArray[np.floating[Any]], unit_m: float) -> bytes:
 
 
 def depth_unit_m(frame: DatasetFrame) -> float:
-    """Metres of a step of depth images: that of the frame's depth camera, or else a millimetre.
-
-    Raises:
-        InputError: it is not a positive number.
-    """
-    unit = (frame.metadata.get("depth_camera") or {}).get("depth_unit_m", 1.0 / MILLIMETRES)
+    """Metres of a step of depth images: that of the frame's depth camera, or else a millimetre."""
+    table = frame.metadata.get("depth_camera")
+    unit = table.get("depth_unit_m", 1.0 / MILLIMETRES) if isinstance(table, dict) else 1.0 / MILLIMETRES
     if not isinstance(unit, int | float) or not 0 < unit < np.inf:
         path = frame.dataset.frame_path(frame.index)
         raise InputError(path, "must be a positive number", key="depth_camera.depth_unit_m", value=unit)

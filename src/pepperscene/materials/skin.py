@@ -1,11 +1,7 @@
 """Fine texture of skins: below a pixel at arm's length, and what a stereo matcher needs at close range.
 
-A skin has one periodic tile for each kind of organ, with three parts, each of mean 0 or 1, so that a surface
-whose texture is below a pixel looks as it does without one:
-
-- a relative change of the reflectance of the body: speckle, walls of cells or areoles, spots,
-- a factor of the residue: dust that lies in specks,
-- slopes of a relief, which are part of the slopes that the roughness of the cuticle stands for.
+Each surface has a periodic tile: a relative change of its reflectance, a factor of its residue, and slopes
+that are part of those that its roughness stands for. The means are those of a surface without fine texture.
 """
 
 from __future__ import annotations
@@ -72,12 +68,9 @@ class SkinTable(Document):
 
     @model_validator(mode="after")
     def _check_sizes(self) -> Self:
-        for name in ("spot_mm", "speck_mm"):
-            low, high = getattr(self, name)
+        for name, (low, high) in (("spot_mm", self.spot_mm), ("speck_mm", self.speck_mm)):
             if low > high:
                 raise ValueError(f"{name} = [{low:g}, {high:g}] must be [least, greatest]")
-        if self.dust > 0 and self.specks_per_cm2 == 0:
-            raise ValueError("dust needs specks_per_cm2 above 0")
         return self
 
 
@@ -120,9 +113,9 @@ def skin_tile(table: SkinTable, name: str, roughness: float) -> SkinTile:
 
     Args:
         table: of its kind of organ.
-        name: of the surface, which alone decides what is drawn.
-        roughness: GGX alpha of its narrowest lobe. A lobe of roughness alpha stands for slopes of variance
-            alpha^2 / 2 along each axis (LEADR mapping, Dupuy et al. 2013); the relief has half of it at most.
+        name: of the surface, which decides the random numbers.
+        roughness: GGX alpha of its narrowest lobe, which stands for slopes of variance alpha^2 / 2 along each
+            axis (LEADR mapping, Dupuy et al. 2013); the relief has half of it at most.
     """
     words = np.frombuffer(sha256(name.encode()).digest(), dtype="<u4").tolist()
     rng = np.random.default_rng([_SEED, *words])
@@ -159,7 +152,5 @@ def _discs(per_cm2: float, diameter_mm: tuple[float, float], rng: np.random.Gene
     # Small ones are more frequent: uniform in the logarithm.
     radii = low * (high / low) ** rng.random(count)
     discs = np.stack([*rng.uniform(0.0, TILE, (2, count)), radii, *rng.random((2, count))], axis=1)
-    stamp_discs(
-        field, discs, 1.5, lambda distance, amount: (0.5 + 0.5 * amount) * np.exp(-(distance**4)), np.maximum
-    )
+    stamp_discs(field, discs, 1.5, lambda r, amount: (0.5 + 0.5 * amount) * np.exp(-(r**4)), np.maximum)
     return field.astype(float)

@@ -12,11 +12,12 @@ import numpy as np
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.recipe.resolve.frame_setups import FrameSetup
 from pepperscene.recipe.resolve.load_camera import GRID_STEP_NM
+from pepperscene.units import NONE
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
-    from pepperscene.materials import Skin, Surface
+    from pepperscene.materials import Surface
     from pepperscene.scene import LightReach
 
 
@@ -34,7 +35,7 @@ class SurfaceFactory:
     """Makes the surfaces of cultivars; those of the last one are kept, because scenes share it."""
 
     def __init__(self) -> None:
-        self._kept: tuple[tuple[Cultivar, float, float, Skin | None], dict[str, Surface]] | None = None
+        self._kept: tuple[tuple[Cultivar, float, float, str], dict[str, Surface]] | None = None
 
     def surfaces(
         self,
@@ -42,7 +43,7 @@ class SurfaceFactory:
         first_nm: float,
         last_nm: float,
         worker: FunctionWorker | None = None,
-        skin: Skin | None = None,
+        skin: str = NONE,
     ) -> dict[str, Surface]:
         """The surfaces of a cultivar and of the greenhouse by name.
 
@@ -51,7 +52,7 @@ class SurfaceFactory:
             first_nm: first wavelength, nanometres.
             last_nm: last wavelength, nanometres.
             worker: another process that makes them, so that threads of this one can work meanwhile.
-            skin: fine textures, or None.
+            skin: name or path of the fine texture, or "none".
         """
         key = cultivar, first_nm, last_nm, skin
         if self._kept is None or self._kept[0] != key:
@@ -67,13 +68,14 @@ class SurfaceFactory:
 
 
 def make_surfaces(
-    cultivar: Cultivar, first_nm: float, last_nm: float, skin: Skin | None = None
+    cultivar: Cultivar, first_nm: float, last_nm: float, skin: str = NONE
 ) -> dict[str, Surface]:
     """The surfaces of a cultivar and of the greenhouse by name, in this process."""
-    from pepperscene.materials import greenhouse_surfaces, organ_surfaces
+    from pepperscene.materials import greenhouse_surfaces, load_skin, organ_surfaces
 
     nm = np.arange(first_nm, last_nm + GRID_STEP_NM / 2, GRID_STEP_NM)
-    return {**organ_surfaces(cultivar, nm, skin), **greenhouse_surfaces(nm)}
+    texture = None if skin == NONE else load_skin(skin)
+    return {**organ_surfaces(cultivar, nm, texture), **greenhouse_surfaces(nm)}
 
 
 def largest_light_reach(setups: Sequence[FrameSetup]) -> LightReach:

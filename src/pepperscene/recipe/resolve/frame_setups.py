@@ -15,12 +15,7 @@ from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load_camera import NamedFiles, load_camera, load_depth_camera
 from pepperscene.recipe.resolve.merge import merge_layer
-from pepperscene.recipe.resolve.resolved import (
-    ResolvedRecipe,
-    load_recipe_cover,
-    load_recipe_cultivar,
-    load_recipe_skin,
-)
+from pepperscene.recipe.resolve.resolved import ResolvedRecipe, load_recipe_cover, load_recipe_cultivar
 from pepperscene.recipe.tables import PLANT_TABLES
 from pepperscene.recipe.variation.extract import set_value
 from pepperscene.recipe.variation.varied import Key, as_json, draw_values, json_value
@@ -28,7 +23,6 @@ from pepperscene.recipe.variation.varied import Key, as_json, draw_values, json_
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera
     from pepperscene.cultivar import Cultivar
-    from pepperscene.materials import Skin
     from pepperscene.scene import Cover
 
 _HELD: Final = 16
@@ -138,7 +132,7 @@ class FrameSetup:
 
     Attributes:
         recipe: without variation.
-        cultivar, camera, cover, depth_camera, skin: as in `ResolvedRecipe`.
+        cultivar, camera, cover, depth_camera: as in `ResolvedRecipe`.
         drawn: the values that differ between frames, by dotted key, ready for JSON.
         plants: identifies the values that plants and their surroundings depend on.
         light: identifies the values that the sky depends on.
@@ -154,7 +148,6 @@ class FrameSetup:
     light: str = ""
     optics: str = ""
     depth_camera: DepthCamera | None = None
-    skin: Skin | None = None
 
 
 class FrameSetups:
@@ -176,7 +169,6 @@ class FrameSetups:
             resolved.camera,
             resolved.cover,
             depth_camera=resolved.depth_camera,
-            skin=resolved.skin,
         )
 
     def at(self, spec: FrameSpec) -> FrameSetup:
@@ -199,7 +191,6 @@ class FrameSetups:
             light=light,
             optics=optics,
             depth_camera=self._part("depth camera", optics, lambda: load_depth_camera(recipe, where, files)),
-            skin=self._part("skin", plants, lambda: load_recipe_skin(recipe, where, files)),
         )
 
     def _part(self, name: str, key: str, load: Callable[[], Content]) -> Content:

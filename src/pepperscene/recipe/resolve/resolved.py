@@ -20,7 +20,6 @@ from pepperscene.units import NONE, file_values
 if TYPE_CHECKING:
     from pepperscene.camera import Camera, DepthCamera
     from pepperscene.cultivar import Cultivar
-    from pepperscene.materials import Skin
     from pepperscene.scene import Cover
 
 
@@ -34,7 +33,6 @@ class ResolvedRecipe:
         camera: with the recipe's settings, without a pose.
         cover: between the sky and the crop, or None.
         depth_camera: with the recipe's settings, without a pose; None if the recipe has none.
-        skin: fine textures, or None.
         allow_code: whether the user has asked for the recipe's code to run. It is part of no file.
     """
 
@@ -43,7 +41,6 @@ class ResolvedRecipe:
     camera: Camera
     cover: Cover | None
     depth_camera: DepthCamera | None = None
-    skin: Skin | None = None
     allow_code: bool = False
 
     @cached_property
@@ -77,14 +74,18 @@ def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None 
     Raises:
         InputError: a file is missing or not valid, or the parts do not fit together.
     """
-    where = where or recipe.name
+    where, files = where or recipe.name, files or NamedFiles()
     cultivar, cover = load_recipe_cultivar(recipe, where, files), load_recipe_cover(recipe, where, files)
+    if recipe.skin_texture != NONE:
+        from pepperscene.materials.skin import load_skin
+
+        # Loaded again with the surfaces, perhaps in another process; here for its errors.
+        files.load(load_skin, where, "skin_texture", recipe.skin_texture)
     camera = load_camera(recipe, where, files)
     check_gutters(recipe, where)
     check_views(recipe, cultivar, where)
     depth_camera = load_depth_camera(recipe, where, files)
-    skin = load_recipe_skin(recipe, where, files)
-    return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera, skin)
+    return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera)
 
 
 def check_views(recipe: Recipe, cultivar: Cultivar, where: str | Path) -> None:
@@ -126,16 +127,6 @@ def load_recipe_cover(
 
     load = (files or NamedFiles()).load
     return load(load_cover, where or recipe.name, "daylight.cover", recipe.daylight.cover)
-
-
-def load_recipe_skin(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Skin | None:
-    """Load the fine textures, if there are any; arguments and errors as in `load_files`."""
-    if recipe.skin_texture == NONE:
-        return None
-    from pepperscene.materials.skin import load_skin
-
-    load = (files or NamedFiles()).load
-    return load(load_skin, where or recipe.name, "skin_texture", recipe.skin_texture)
 
 
 def load_recipe_cultivar(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Cultivar:

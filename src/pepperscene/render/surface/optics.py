@@ -212,9 +212,9 @@ class Optics:
         values = dr.gather(mi.Vector4f, self.organs, organ, active)
         surface, texture = mi.UInt32(values.x), mi.UInt32(dr.maximum(dr.abs(values.y) - 1.0, 0.0))
         texel = self.textures.look_up(si, surface, texture, values.y < 0.0, footprint, active)
-        skins = None if footprint is None else self.skins
-        skin = None if skins is None else skins.look_up(si, surface, texture, footprint, active)
-        texel = texel if skin is None else skin.added_to(texel)
+        change = shown = None
+        if self.skins is not None and footprint is not None:
+            texel, change, shown = self.skins.added_to(texel, si, surface, texture, footprint, active)
         frame = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0))
         relief, blur = _relief(si, texel)
         wi = si.wi
@@ -230,7 +230,7 @@ class Optics:
         # The cuticle on the viewer's side, and how open both sides are.
         side = surface * 2 + dr.select(in_front, mi.UInt32(0), mi.UInt32(1))
         cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
-        width = blur if skin is None else blur - skin.shown
+        width = blur if shown is None else blur - shown
         gloss = GlossLobes(cuticle.w, dr.square(cuticle.x) + width, dr.square(cuticle.y) + width, cuticle.z)
         cover = dr.clip(values.z * texel.residue, 0.0, _MOST_COVER)
         cover_behind = cover * dr.gather(mi.Float, self.residue_behind, surface, active)
@@ -264,7 +264,7 @@ class Optics:
             # Rounding may take the scanned black below 0.
             is_scanned=None if colour is None or self.scanned is None else colour.x > 0.5 * PIGMENTS,
             colour=colour,
-            change=None if skin is None else skin.change,
+            change=change,
         )
         return SurfacePlace(place, frame, wi, gloss, near, far)
 

@@ -1,14 +1,8 @@
 """Fine textures of skins on the device: periodic tiles, averaged to the size of a pixel.
 
-Texels keep their size in millimetres on organs of any size: a tile is repeated 2^k times along u and v, with
-the whole number k for which its period is nearest to that of the tile. Each repeat begins at another place of
-the tile, so that no part of a skin is like another to a matcher. A level of half the resolution holds the
-means of 2 x 2 texels. The reflectance is linear in the change, so that the mean over a pixel is the
-reflectance of the pixel, and the coarsest level is a surface without texture.
-
-The slopes of the relief are part of the slopes that the roughness of the cuticle stands for. The lobes are
-narrower by the variance of the slopes that a level shows, so that the sum is the same at every distance (see
-`pepperscene.render.surface.textures`).
+Texels keep their size in millimetres: a tile is repeated 2^k times along u and v, with the k that comes
+nearest. Each repeat begins at another place of the tile: to a matcher no two places are alike. Lobes of the
+gloss are narrower by the variance of the slopes that are shown: the sum is the same at every distance.
 """
 
 from __future__ import annotations
@@ -32,36 +26,11 @@ _MULTIPLIERS: Final = (0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D)
 """Odd numbers with well mixed bits, primes of the hash function xxHash (Collet)."""
 
 
-@dataclass(frozen=True, eq=False)
-class SkinSample:
-    """The fine texture at hits: see `SkinTile`. Slopes are in local units per unit of u and v.
-
-    Attributes:
-        shown: variance of the slopes that the level shows, the sum of both axes.
-    """
-
-    change: Any
-    residue: Any
-    slope_u: Any
-    slope_v: Any
-    shown: Any
-
-    def added_to(self, texel: TextureSample) -> TextureSample:
-        """The textures of a surface with its fine texture; the change is left out."""
-        return replace(
-            texel,
-            residue=texel.residue * self.residue,
-            slope_u=texel.slope_u + self.slope_u,
-            slope_v=texel.slope_v + self.slope_v,
-        )
-
-
 def changed_reflectance(reflectance: Any, transmittance: Any, change: Any) -> Any:
-    """Reflectance of a body by a relative change where all other light is absorbed.
+    """Reflectance with a relative change, in proportion to the light that is absorbed.
 
-    The change is in proportion to the absorbed light, as it is to the first order if a thick body absorbs
-    more (Kubelka & Munk 1931). So there is none where nothing is absorbed, and reflectance and transmittance
-    stay at most 1 together.
+    So a thick body changes with its absorption, to the first order (Kubelka & Munk 1931). Reflectance and
+    transmittance stay at most 1 together, and the mean is that of the changes.
     """
     return reflectance + change * reflectance * (1.0 - reflectance - transmittance)
 
@@ -92,14 +61,21 @@ class SkinTables:
         levels = [_levels(tile) for tile in tiles]
         shown = [[float((level[..., 2:] ** 2).mean(axis=(0, 1)).sum()) for level in tile] for tile in levels]
         return cls(
-            tiles=device_array([-1 if s.skin is None else k for s, k in zip(surfaces, numbers, strict=True)]),
+            tiles=device_array(np.where([surface.skin is None for surface in surfaces], -1, numbers)),
             texels=device_array(np.concatenate([level.ravel() for tile in levels for level in tile])),
             shown=device_array(shown),
             period=device_float(1e-3 * TILE * TEXEL_MM / unit_m),
         )
 
-    def look_up(self, si: Any, surface: Any, texture: Any, footprint: Any, active: Any) -> SkinSample:
-        """The fine texture at hits of camera rays; arguments as of `TextureTables.look_up`."""
+    def added_to(
+        self, texel: TextureSample, si: Any, surface: Any, texture: Any, footprint: Any, active: Any
+    ) -> tuple[TextureSample, Any, Any]:
+        """Add the fine texture at hits of camera rays; arguments as of `TextureTables.look_up`.
+
+        Returns:
+            The textures; the relative change of the reflectance; and the variance of the slopes that are
+            shown, the sum of both axes.
+        """
         mi, dr = mitsuba_modules()
         number = dr.gather(mi.Float, self.tiles, surface, active)
         active = active & (number >= 0.0)
@@ -131,15 +107,12 @@ class SkinTables:
         # Finer levels have 4 / 3 (TILE^2 - side^2) texels.
         start = first * _TEXELS + (TILE**2 - side * side) * 4 // 3
         cell = [dr.minimum(mi.UInt32(place * mi.Float(side)), side - 1) for place in (x, y)]
-        texel = dr.gather(mi.Vector4f, self.texels, start + cell[1] * side + cell[0], active)
+        fine = dr.gather(mi.Vector4f, self.texels, start + cell[1] * side + cell[0], active)
         # A masked gather gives 0.
-        return SkinSample(
-            change=texel.x,
-            residue=dr.select(active, texel.y, 1.0),
-            slope_u=texel.z * length_u,
-            slope_v=texel.w * length_v,
-            shown=dr.gather(mi.Float, self.shown, first * LEVELS + level, active),
-        )
+        residue = texel.residue * dr.select(active, fine.y, 1.0)
+        slope_u, slope_v = texel.slope_u + fine.z * length_u, texel.slope_v + fine.w * length_v
+        shown = dr.gather(mi.Float, self.shown, first * LEVELS + level, active)
+        return replace(texel, residue=residue, slope_u=slope_u, slope_v=slope_v), fine.x, shown
 
 
 def _levels(tile: SkinTile) -> list[NDArray[np.float32]]:
