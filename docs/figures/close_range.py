@@ -128,7 +128,8 @@ def main() -> None:
     sheet = Image.new("RGB", (4 * SIZE[0], 2 * SIZE[1]))
     for number, picture in enumerate(pictures):
         sheet.paste(picture, (number % 4 * SIZE[0], number // 4 * SIZE[1]))
-    sheet.save(IMAGES / "close_range.jpg", quality=85, optimize=True)
+    sheet = sheet.resize((1400, 500), Image.Resampling.LANCZOS)
+    sheet.save(IMAGES / "close_range.jpg", quality=82, optimize=True)
 
 
 if __name__ == "__main__":
