@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import cv2
@@ -49,6 +50,7 @@ class DepthStandIn(StandIn):
         assert (partners.depth is not None) == bool({"depth_sensor", "imager_left"} & set(outputs))
         images = {**frame.images, **measured(camera, seed)}
         metadata = {**frame.metadata, "depth_camera": {"width": IMAGER[1], "height": IMAGER[0]}}
+        metadata["depth_camera"]["depth_unit_m"] = partners.depth.depth_unit_m
         metadata["camera"] = {**metadata["camera"], "width": SIZE[1], "height": SIZE[0]}
         return Frame({name: images[name] for name in outputs}, metadata)
 
@@ -199,4 +201,32 @@ def test_export_rejects_a_depth_of_another_size(tmp_path):
     write_image(dataset.path(0, "depth_sensor"), np.ones((3, 4), np.float32), "depth_sensor")
     with pytest.raises(InputError, match=r"depth_sensor/000000\.exr"):
         export_dataset(tmp_path / "set", "rgbd_sensor", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_depth_of_exports_has_the_unit_of_the_depth_camera(tmp_path):
+    changes = {**D435, "depth_camera.depth_unit_mm": 0.1}
+    set_without_plants(tmp_path / "set", range(1), OUTPUTS, DepthStandIn, changes)
+    out = export_dataset(tmp_path / "set", "rgbd_sensor", tmp_path / "out").folder
+    exact = export_dataset(tmp_path / "set", "rgbd", tmp_path / "exact").folder
+    (image,) = open_images(tmp_path / "set")
+    for folder, expected in ((out, image.depth_sensor_m), (exact, image.depth_z_m)):
+        (path,), (table,) = folder.rglob("depth/*.png"), folder.rglob("depth.json")
+        unit_m = json.loads(table.read_text())["depth_scale_m"]
+        assert unit_m == 1e-4
+        known = np.isfinite(expected)
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_allclose(unit_m * depth[known], expected[known], atol=0.51e-4)
+
+
+@pytest.mark.parametrize("unit", [0, -1e-3, "mm", None, float("inf")])
+def test_export_rejects_a_unit_that_is_no_length(tmp_path, unit):
+    dataset = set_without_plants(tmp_path / "set", range(1), OUTPUTS, DepthStandIn, D435)
+    path = dataset.frame_path(0)
+    content = json.loads(path.read_text())
+    content["depth_camera"]["depth_unit_m"] = unit
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"depth_camera\.depth_unit_m") as error:
+        export_dataset(tmp_path / "set", "rgbd_sensor", tmp_path / "out")
+    assert "\n" not in str(error.value)
     assert not (tmp_path / "out").exists()

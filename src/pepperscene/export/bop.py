@@ -35,7 +35,6 @@ from pepperscene.version import __version__
 if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
 
-_DEPTH_SCALE: Final = 1.0  # millimetres per step of a depth image
 _TABLES: Final = ("scene_camera", "scene_gt", "scene_gt_info")
 _FOLDERS: Final = ("rgb", "depth", "mask", "mask_visib")
 _COLUMNS: Final = (
@@ -222,10 +221,10 @@ def _write_scene(place: Path, frames: Iterable[DatasetFrame], models: _Models) -
         fruit, key = list(frame.fruit.values()), str(frame.index)
         (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
         (place / "depth" / f"{frame.name}.png").write_bytes(surface.depth_png())
-        tables["scene_camera"][key] = _camera_record(surface.camera)
+        tables["scene_camera"][key] = _camera_record(surface)
         tables["scene_gt"][key] = [_pose_record(frame, entry, models) for entry in fruit]
         tables["scene_gt_info"][key] = _write_masks(place, frame, surface, fruit)
-        models.camera = models.camera or _camera_file(surface.camera)
+        models.camera = models.camera or _camera_file(surface)
     for name, records in tables.items():
         _write_json(place / f"{name}.json", records)
 
@@ -285,8 +284,9 @@ def _box(mask: NDArray[np.bool_]) -> list[int]:
     ]  # fmt: skip
 
 
-def _camera_record(camera: Camera) -> dict[str, Any]:
+def _camera_record(surface: RangeImage) -> dict[str, Any]:
     """An entry of `scene_camera.json`; as in OpenCV, the centre of the upper left pixel is at (0, 0)."""
+    camera = surface.camera
     matrix = camera.intrinsics.copy()
     matrix[:2, 2] -= CENTRE_OF_FIRST_PIXEL
     to_camera = camera.pose[:3, :3].T
@@ -294,14 +294,16 @@ def _camera_record(camera: Camera) -> dict[str, Any]:
         "cam_K": matrix.ravel().tolist(),
         "cam_R_w2c": to_camera.ravel().tolist(),
         "cam_t_w2c": (-MILLIMETRES * (to_camera @ camera.pose[:3, 3])).tolist(),
-        "depth_scale": _DEPTH_SCALE,
+        # Millimetres of a step, without the rounding errors of the product.
+        "depth_scale": round(MILLIMETRES * surface.depth_unit_m, 9),
     }
 
 
-def _camera_file(camera: Camera) -> dict[str, float]:
-    fx, _, cx, _, fy, cy, *_ = _camera_record(camera)["cam_K"]
+def _camera_file(surface: RangeImage) -> dict[str, float]:
+    record, camera = _camera_record(surface), surface.camera
+    fx, _, cx, _, fy, cy, *_ = record["cam_K"]
     size = {"width": camera.width, "height": camera.height}
-    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **size, "depth_scale": _DEPTH_SCALE}
+    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **size, "depth_scale": record["depth_scale"]}
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

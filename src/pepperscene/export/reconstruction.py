@@ -39,6 +39,7 @@ from pepperscene.export.points import LABELS, SeedPoints, point_file, seed_point
 from pepperscene.export.surface import (
     MILLIMETRES,
     RangeImage,
+    depth_png,
     mask_png,
     picture_png,
     read_colour,
@@ -80,6 +81,7 @@ def _point_cloud(frame: DatasetFrame, foreground: frozenset[int] | None) -> byte
 
 
 _POINT_FILE: Final = "seed_points.ply"
+_DEPTH_UNIT_M: Final = 1 / MILLIMETRES
 
 
 def write_nerfstudio(job: ExportJob, folder: Path) -> None:
@@ -103,8 +105,8 @@ def _transforms(job: ExportJob, indices: Sequence[int], entries: Sequence[dict[s
     splits = scene_splits(job, indices)
     return {
         "camera_model": entries[0]["camera_model"],
-        # Nerfstudio ignores this key. It documents the unit.
-        "depth_unit_scale_factor": 1 / MILLIMETRES,
+        # Nerfstudio ignores this key. It documents the unit, which is that of its readers.
+        "depth_unit_scale_factor": _DEPTH_UNIT_M,
         "ply_file_path": _POINT_FILE,
         **{f"{split}_filenames": [paths[index] for index in members] for split, members in splits.items()},
         "frames": [{key: entry[key] for key in entry if key != "camera_model"} for entry in entries],
@@ -119,7 +121,10 @@ def _write_frames(job: ExportJob, place: Path, frames: Iterable[DatasetFrame]) -
     entries: list[dict[str, Any]] = []
     for frame in frames:
         surface, file = read_view(frame, read_geometry(frame, job.images)), f"{frame.name}.png"
-        contents = {"images": picture_png(frame, surface, job.images), "depths": surface.depth_png()}
+        contents = {
+            "images": picture_png(frame, surface, job.images),
+            "depths": depth_png(surface.depth_z, _DEPTH_UNIT_M),
+        }
         if job.has_masks:
             contents["masks"] = mask_png(frame, surface, job.images.foreground)
         for name, content in contents.items():

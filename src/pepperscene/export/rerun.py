@@ -18,7 +18,7 @@ from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.export.job import ExportJob, open_groups, sequence_groups
 from pepperscene.export.pinhole import PinholeImages
-from pepperscene.export.surface import MAX_MM, MILLIMETRES, read_colour, read_label, read_surface
+from pepperscene.export.surface import MOST_STEPS, read_colour, read_label, read_surface
 from pepperscene.libraries import import_library
 
 TIMELINE: Final = "frame"
@@ -78,9 +78,10 @@ def _log_frame(rerun: Any, recording: Any, frame: DatasetFrame, selection: Selec
     if not pinhole.is_identity:
         colour = png_bytes(pinhole.resample_colour(read_colour(frame, surface)))
     recording.log(f"{_IMAGE}/colour", rerun.EncodedImage(contents=colour, media_type="image/png"))
-    depth_mm = pinhole.resample(np.rint(MILLIMETRES * surface.depth_z), 0.0)
-    depth = np.where(depth_mm <= MAX_MM, depth_mm, 0.0).astype(np.uint16)
-    recording.log(f"{_IMAGE}/depth", rerun.DepthImage(depth, meter=MILLIMETRES))
+    per_metre = 1.0 / surface.depth_unit_m
+    steps = pinhole.resample(np.rint(per_metre * surface.depth_z), 0.0)
+    depth = np.where(steps <= MOST_STEPS, steps, 0.0).astype(np.uint16)
+    recording.log(f"{_IMAGE}/depth", rerun.DepthImage(depth, meter=per_metre))
     classes = pinhole.resample(read_label(frame, "class", surface), np.uint8(0))
     recording.log(f"{_IMAGE}/classes", rerun.SegmentationImage(classes))
     instance = pinhole.resample(read_label(frame, "instance", surface), np.uint16(0))

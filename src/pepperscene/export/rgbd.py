@@ -3,7 +3,8 @@
 Formats: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats for images, trajectories and
 associations; https://wiki.ros.org/camera_calibration_parsers and REP 104,
 https://www.ros.org/reps/rep-0104.html, for `camera_info.yaml`; REP 118,
-https://www.ros.org/reps/rep-0118.html, for depth images of 16 bits in millimetres.
+https://www.ros.org/reps/rep-0118.html, for depth images of 16 bits in millimetres. Those of a depth camera
+with another unit have that unit, which `depth.json` gives.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import InputError
 from pepperscene.export.job import ExportJob, open_groups, sequence_groups, write_json
 from pepperscene.export.surface import (
-    MILLIMETRES,
     ImageGeometry,
     depth_png,
+    depth_unit_m,
     mask_png,
     picture_png,
     read_geometry,
@@ -45,9 +46,9 @@ def write_rgbd(job: ExportJob, folder: Path) -> None:
 
     A sequence is a scene as one camera of one split sees it. Its time is the step of a frame, in seconds.
     `rgb.txt` and `depth.txt` list the images by time, `associations.txt` their pairs, and `groundtruth.txt`
-    the poses, camera to world. Depths are along the optical axis, in millimetres, which `depth.json` says, 0
-    for none. With a foreground, they are 0 outside it, and `mask/000110.png` is 255 inside. Without
-    photographs in all frames, there is nothing of `rgb`.
+    the poses, camera to world. Depths are along the optical axis, in the unit of the depth camera or else in
+    millimetres, which `depth.json` says, 0 for none. With a foreground, they are 0 outside it, and
+    `mask/000110.png` is 255 inside. Without photographs in all frames, there is nothing of `rgb`.
     """
     _write_sequences(job, folder, lambda frame, geometry: read_view(frame, geometry).depth_z)
 
@@ -63,33 +64,33 @@ def _write_sequences(job: ExportJob, folder: Path, depth_of: DepthOf) -> None:
         times = [STEP_S * job.plan.frame(index).step for index in indices]
         kinds = ["rgb"] if job.common_outputs(["colour"]) else []
         kinds += ["depth"] if job.images.foreground is None else ["depth", "mask"]
-        camera, poses = _write_images(job, place, kinds, frames, depth_of)
-        (place / "camera_info.yaml").write_text(_camera_info(camera), encoding="utf-8")
-        write_json(place / "depth.json", {"depth_scale_m": 1 / MILLIMETRES})
+        camera_info, unit_m, poses = _write_images(job, place, kinds, frames, depth_of)
+        (place / "camera_info.yaml").write_text(camera_info, encoding="utf-8")
+        write_json(place / "depth.json", {"depth_scale_m": unit_m})
         write_poses(place / "groundtruth.txt", PoseList(np.array(poses), np.array(times)), "tum")
         _write_tables(place, kinds, times, [f"{index:06d}.png" for index in indices])
 
 
 def _write_images(
     job: ExportJob, place: Path, kinds: Sequence[str], frames: Iterable[DatasetFrame], depth_of: DepthOf
-) -> tuple[Camera, list[Any]]:
-    """Write the images of a sequence, and return its camera and poses; the camera must be one."""
+) -> tuple[str, float, list[Any]]:
+    """Write the images of a sequence, and return its camera, unit of depth and poses; it has one of each."""
     for kind in kinds:
         (place / kind).mkdir()
-    first: Camera | None = None
-    poses = []
+    first, poses = ("", 0.0), list[Any]()
     for frame in frames:
         geometry = read_geometry(frame, job.images)
-        first = first or geometry.camera
-        if _camera_info(geometry.camera) != _camera_info(first):
+        described = _camera_info(geometry.camera), depth_unit_m(frame)
+        first = first if poses else described
+        if described != first:
             problem = "must be the same in all frames of a sequence, which has one camera_info.yaml"
-            raise InputError(frame.dataset.frame_path(frame.index), problem, key="camera")
+            key = "camera" if described[0] != first[0] else "depth_camera.depth_unit_m"
+            raise InputError(frame.dataset.frame_path(frame.index), problem, key=key)
         contents = _contents(job, frame, geometry, depth_of(frame, geometry))
         for kind in kinds:
             (place / kind / f"{frame.name}.png").write_bytes(contents[kind]())
         poses.append(geometry.camera.pose)
-    assert first is not None  # no group is empty
-    return first, poses
+    return *first, poses
 
 
 def _contents(
@@ -101,7 +102,7 @@ def _contents(
         depth = np.where(valid_pixels(frame, geometry, foreground), depth, np.inf)
     return {
         "rgb": lambda: picture_png(frame, geometry, job.images),
-        "depth": lambda: depth_png(depth),
+        "depth": lambda: depth_png(depth, depth_unit_m(frame)),
         "mask": lambda: mask_png(frame, geometry, foreground),
     }
 

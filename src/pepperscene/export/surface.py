@@ -24,7 +24,7 @@ SEED_POINTS: Final = 20_000
 
 _REACH_PX: Final = 5.0  # chosen: beyond, the nearest whole pixel is rarely of the same organ
 MILLIMETRES: Final = 1000.0  # per metre
-MAX_MM: Final = 65_535  # of a 16-bit image
+MOST_STEPS: Final = 65_535  # of a 16-bit image
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,7 @@ class RangeImage(ImageGeometry):
     """
 
     distance: NDArray[np.float64]
+    depth_unit_m: float = 1.0 / MILLIMETRES
 
     @property
     def depth_z(self) -> NDArray[np.float64]:
@@ -70,17 +71,24 @@ class RangeImage(ImageGeometry):
         return np.asarray(np.einsum("nij,nj->ni", poses[:, :3, :3], in_camera) + poses[:, :3, 3])
 
     def depth_png(self) -> bytes:
-        """A PNG of 16 bits: depth along the optical axis in millimetres.
-
-        0 is "no depth": no surface, or one beyond 65.535 m.
-        """
-        return depth_png(self.depth_z)
+        """A PNG of 16 bits: depth along the optical axis as of `depth_png`."""
+        return depth_png(self.depth_z, self.depth_unit_m)
 
 
-def depth_png(depth_m: NDArray[np.floating[Any]]) -> bytes:
-    """A PNG of 16 bits: depths in millimetres, 0 for none, nan and those beyond 65.535 m."""
-    depth_mm = np.rint(MILLIMETRES * depth_m)
-    return png_bytes(np.where(depth_mm <= MAX_MM, depth_mm, 0).astype(np.uint16))
+def depth_png(depth_m: NDArray[np.floating[Any]], unit_m: float) -> bytes:
+    """A PNG of 16 bits: depths in steps of a unit, 0 for none, nan and those beyond 65,535 steps."""
+    steps = np.rint(depth_m * (1.0 / unit_m))
+    return png_bytes(np.where(steps <= MOST_STEPS, steps, 0).astype(np.uint16))
+
+
+def depth_unit_m(frame: DatasetFrame) -> float:
+    """Metres of a step of depth images: that of the frame's depth camera, or else a millimetre."""
+    table = frame.metadata.get("depth_camera")
+    unit = table.get("depth_unit_m", 1.0 / MILLIMETRES) if isinstance(table, dict) else 1.0 / MILLIMETRES
+    if not isinstance(unit, int | float) or not 0 < unit < np.inf:
+        path = frame.dataset.frame_path(frame.index)
+        raise InputError(path, "must be a positive number", key="depth_camera.depth_unit_m", value=unit)
+    return unit
 
 
 def recorded_camera(frame: DatasetFrame, *, allows_line_scan: bool = False) -> Camera:
@@ -160,7 +168,8 @@ def read_surface(frame: DatasetFrame, *, allows_line_scan: bool = False) -> Rang
     if not (image >= 0).all():
         # Written so that nan fails too.
         raise InputError(path, "must hold depths from 0 metres, inf for none")
-    return RangeImage(camera, image if output == "distance" else image / camera.pixel_directions()[..., 2])
+    distance = image if output == "distance" else image / camera.pixel_directions()[..., 2]
+    return RangeImage(camera, distance, depth_unit_m(frame))
 
 
 def read_colour(frame: DatasetFrame, geometry: ImageGeometry) -> NDArray[np.uint8]:

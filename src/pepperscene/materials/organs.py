@@ -17,6 +17,7 @@ from pepperscene.materials.measured import measured_surface
 from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.rind import cut_surface, fruit_surface, green_surface
 from pepperscene.materials.rind_textures import FruitSkin
+from pepperscene.materials.skin import Skin, skin_tile
 from pepperscene.materials.surface import Surface
 from pepperscene.materials.venation import BladeGrid
 from pepperscene.spectra.spectrum import FloatArray
@@ -28,7 +29,9 @@ SIZES_MM: Final = (5.0, 1000.0)
 Chosen: the finest grain is lost on smaller ones, and the time to draw larger ones grows with their area."""
 
 
-def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Surface]:
+def organ_surfaces(
+    cultivar: Cultivar, wavelength_nm: ArrayLike, skin: Skin | None = None
+) -> dict[str, Surface]:
     """Surfaces that a plant's meshes name; a pepper's: leaf, petiole, stem, fruit, calyx, cut, peduncle.
 
     Only those of kinds that the plants have: a cultivar without flowers needs no petals. The first kind with
@@ -37,6 +40,7 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
     Args:
         cultivar: its `pigments` give the paths through pigment space, its sizes the patterns' scale.
         wavelength_nm: `(n,)` increasing, up to 2500 nm; flesh and scars are made for 300 to 1100 nm.
+        skin: fine textures of all organs but flowers and scars, or None.
 
     Raises:
         ValueError: a wavelength is outside the range of the pigments' coefficients.
@@ -56,7 +60,18 @@ def organ_surfaces(cultivar: Cultivar, wavelength_nm: ArrayLike) -> dict[str, Su
                 residue_reflectance=blade.residue_reflectance,
                 residue_behind=blade.residue_behind,
             )
-    return made
+    if skin is None:
+        return made
+    return {name: _with_skin(made[name], cultivar, kind, skin) for name, kind in first_kind.items()}
+
+
+def _with_skin(surface: Surface, cultivar: Cultivar, kind: str, skin: Skin) -> Surface:
+    """A surface with the fine texture of the organs of a kind."""
+    form = cultivar.kinds[kind].form
+    if form == "flower" or surface.name == "cut":
+        return surface
+    table = skin.leaf if surface.is_blade else skin.fruit if form == "fruit" else skin.stem
+    return replace(surface, skin=skin_tile(table, surface.name, min(surface.roughness)))
 
 
 def _organ_surface(cultivar: Cultivar, kind: str, name: str, nm: FloatArray) -> Surface:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.cultivar import PigmentPath
+from pepperscene.materials.skin import SkinTile
 from pepperscene.spectra.spectrum import FloatArray
 
 AGEING_RANGE: Final = 0.25
@@ -52,6 +53,7 @@ class Surface:
             "carotenoids" in ug/cm2, "water" in cm, "ripeness" from 0 to 1. Traits that the surface does not
             have are left out. Between two rows they are linear, as the spectra are.
         is_blade: whether it is the surface of leaf blades, whose ageing is the age of the leaf.
+        skin: fine texture, or None.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Surface:
     ageing_order: NDArray[np.float32] | None = None
     contents: Mapping[str, FloatArray] = field(default_factory=dict)
     is_blade: bool = False
+    skin: SkinTile | None = None
 
     def __post_init__(self) -> None:
         s, n = self.reflectance.shape[0], self.wavelength_nm.size

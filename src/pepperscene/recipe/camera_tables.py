@@ -252,6 +252,7 @@ class DepthCameraTable(CameraTable):
         projector: shipped name or path, or "none" for passive stereo.
         position_m: of the left imager in the axes of the main camera: right, down, forward.
         rotation_rad: as of a camera of a rig.
+        depth_unit_m: of a step of depth images of 16 bits in exports.
         auto_exposure: for an exposure of "auto". The limits are chosen: one frame of 30 in a second, and the
             gain of a D435, 16 to 248 in its software.
         matching: settings of the matcher.
@@ -263,6 +264,8 @@ class DepthCameraTable(CameraTable):
     projector: Name = NONE
     position_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
     rotation_rad: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    # Chosen: 65,535 steps of the smallest are 65 mm; the default is that of all RealSense but the D405.
+    depth_unit_m: Annotated[float, within(0.001, 10), MILLIMETRES] = 0.001
     auto_exposure: AutoExposureTable = AutoExposureTable(exposure_s=(10e-6, 33e-3), most_gain=15.5)
     matching: StereoMatching = _MATCHING
 

@@ -52,6 +52,7 @@ FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("depth_camera", "calibration"): _CALIBRATIONS,
     ("depth_camera", "projector"): "projectors",
     ("daylight", "cover"): "covers",
+    ("skin_texture",): "skins",
     ("views", "file"): _POSES,
 }
 """Keys whose values name files, and the folder of the shipped ones; None for cultivars."""
@@ -83,6 +84,7 @@ class Recipe(Document):
         twins: values by dotted key, one for each twin: frames that differ in these values only.
         daylight: or None for a night scene.
         twine: or None for none.
+        skin_texture: shipped name or path of the fine texture of skins, for close views, or "none".
         growth: a stage between two cultivar files, or None for the cultivar as in its file.
         greenhouse: surroundings of an irregular row, or None for evenly spaced, upright plants alone.
         expect: expected statistics of the finished data set, or None; see `pepperscene check`.
@@ -100,6 +102,7 @@ class Recipe(Document):
     developing: Developing = Developing()
     daylight: Daylight | None = None
     twine: Twine | None = None
+    skin_texture: Name = NONE
     growth: tables.GrowthTable | None = None
     greenhouse: Greenhouse | None = None
     expect: tables.ExpectTable | None = None

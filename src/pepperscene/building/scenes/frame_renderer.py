@@ -276,7 +276,7 @@ class FrameRenderer:
         setup = self.setups.at(spec)
         if nm is None:
             return self._optics(spec, setup, self.frames_of_scene(spec))
-        return make_surfaces(setup.cultivar, *nm), self.sky(spec)
+        return make_surfaces(setup.cultivar, *nm, setup.recipe.skin_texture), self.sky(spec)
 
     def finish(
         self, spec: FrameSpec, near: NearScene, optics: tuple[Mapping[str, Surface], Sky | None] | None
@@ -385,7 +385,9 @@ class FrameRenderer:
         cameras = [camera for other in distinct for camera in lit_cameras(other)]
         ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
-        surfaces = self._surfaces.surfaces(setup.cultivar, float(first), float(last), worker)
+        surfaces = self._surfaces.surfaces(
+            setup.cultivar, float(first), float(last), worker, setup.recipe.skin_texture
+        )
         if worker is not None:
             # Its memory is not needed any more, while the row is still being made.
             worker.close()

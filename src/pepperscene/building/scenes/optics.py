@@ -12,6 +12,7 @@ import numpy as np
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.recipe.resolve.frame_setups import FrameSetup
 from pepperscene.recipe.resolve.load_camera import GRID_STEP_NM
+from pepperscene.units import NONE
 
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
@@ -34,10 +35,15 @@ class SurfaceFactory:
     """Makes the surfaces of cultivars; those of the last one are kept, because scenes share it."""
 
     def __init__(self) -> None:
-        self._kept: tuple[tuple[Cultivar, float, float], dict[str, Surface]] | None = None
+        self._kept: tuple[tuple[Cultivar, float, float, str], dict[str, Surface]] | None = None
 
     def surfaces(
-        self, cultivar: Cultivar, first_nm: float, last_nm: float, worker: FunctionWorker | None = None
+        self,
+        cultivar: Cultivar,
+        first_nm: float,
+        last_nm: float,
+        worker: FunctionWorker | None = None,
+        skin: str = NONE,
     ) -> dict[str, Surface]:
         """The surfaces of a cultivar and of the greenhouse by name.
 
@@ -46,8 +52,9 @@ class SurfaceFactory:
             first_nm: first wavelength, nanometres.
             last_nm: last wavelength, nanometres.
             worker: another process that makes them, so that threads of this one can work meanwhile.
+            skin: name or path of the fine texture, or "none".
         """
-        key = cultivar, first_nm, last_nm
+        key = cultivar, first_nm, last_nm, skin
         if self._kept is None or self._kept[0] != key:
             # Release the old surfaces before making new ones.
             self._kept = None
@@ -60,12 +67,15 @@ class SurfaceFactory:
         return self._kept[1]
 
 
-def make_surfaces(cultivar: Cultivar, first_nm: float, last_nm: float) -> dict[str, Surface]:
+def make_surfaces(
+    cultivar: Cultivar, first_nm: float, last_nm: float, skin: str = NONE
+) -> dict[str, Surface]:
     """The surfaces of a cultivar and of the greenhouse by name, in this process."""
-    from pepperscene.materials import greenhouse_surfaces, organ_surfaces
+    from pepperscene.materials import greenhouse_surfaces, load_skin, organ_surfaces
 
     nm = np.arange(first_nm, last_nm + GRID_STEP_NM / 2, GRID_STEP_NM)
-    return {**organ_surfaces(cultivar, nm), **greenhouse_surfaces(nm)}
+    texture = None if skin == NONE else load_skin(skin)
+    return {**organ_surfaces(cultivar, nm, texture), **greenhouse_surfaces(nm)}
 
 
 def largest_light_reach(setups: Sequence[FrameSetup]) -> LightReach:

@@ -70,6 +70,7 @@ class DepthCamera:
         projector: None for passive stereo.
         matching: settings of the matcher.
         exposure_control: for an automatic exposure; None for that of `left`.
+        depth_unit_m: of a step of its depth images of 16 bits.
     """
 
     left: Camera
@@ -77,6 +78,7 @@ class DepthCamera:
     projector: Projector | None = None
     matching: StereoMatching = field(default_factory=StereoMatching)
     exposure_control: ExposureControl | None = None
+    depth_unit_m: float = 1e-3
 
     def __post_init__(self) -> None:
         if not self.baseline_m > 0:
@@ -127,6 +129,7 @@ class DepthCamera:
         return {
             **self.left.to_metadata(),
             "baseline_m": float(self.baseline_m),
+            "depth_unit_m": float(self.depth_unit_m),
             "projector": None if self.projector is None else self.projector.name,
             "matching": dataclasses.asdict(self.matching),
         }

@@ -319,6 +319,7 @@ def load_depth_camera(
         projector=projector,
         matching=table.matching,
         exposure_control=table.auto_exposure.control() if table.exposure_s == AUTO else None,
+        depth_unit_m=table.depth_unit_m,
     )
 
 

@@ -90,8 +90,13 @@ def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None 
     Raises:
         InputError: a file is missing or not valid, or the parts do not fit together.
     """
-    where = where or recipe.name
+    where, files = where or recipe.name, files or NamedFiles()
     cultivar, cover = load_recipe_cultivar(recipe, where, files), load_recipe_cover(recipe, where, files)
+    if recipe.skin_texture != NONE:
+        from pepperscene.materials.skin import load_skin
+
+        # Loaded again with the surfaces, perhaps in another process; here for its errors.
+        files.load(load_skin, where, "skin_texture", recipe.skin_texture)
     camera = load_camera(recipe, where, files)
     check_gutters(recipe, where)
     check_views(recipe, cultivar, where)

@@ -33,6 +33,7 @@ from pepperscene.render.surface.scattering import (
     SurfacePlace,
     SurfacePoint,
 )
+from pepperscene.render.surface.skins import SkinTables, changed_reflectance
 from pepperscene.render.surface.tables import (
     channel_colours,
     channel_fractions,
@@ -77,6 +78,7 @@ class Optics:
         textures: over uv.
         channels: number of sensor channels that `spectra` holds colours for; None if it holds spectra.
         scanned: reflectance of colours that come from scans; None if there are none.
+        skins: fine textures; None if no surface has one.
     """
 
     first_nm: Any
@@ -91,6 +93,7 @@ class Optics:
     textures: TextureTables
     channels: int | None = None
     scanned: ScannedColours | None = None
+    skins: SkinTables | None = None
 
     @classmethod
     def pack(
@@ -137,6 +140,7 @@ class Optics:
             openness=device_array(np.stack(openness)),
             textures=TextureTables.pack(surfaces, unit_m),
             scanned=ScannedColours.pack(grid) if has_colours else None,
+            skins=SkinTables.pack(surfaces, unit_m),
         )
 
     def by_channel(self, weights: NDArray[np.float64]) -> Optics:
@@ -208,6 +212,9 @@ class Optics:
         values = dr.gather(mi.Vector4f, self.organs, organ, active)
         surface, texture = mi.UInt32(values.x), mi.UInt32(dr.maximum(dr.abs(values.y) - 1.0, 0.0))
         texel = self.textures.look_up(si, surface, texture, values.y < 0.0, footprint, active)
+        change = shown = None
+        if self.skins is not None and footprint is not None:
+            texel, change, shown = self.skins.added_to(texel, si, surface, texture, footprint, active)
         frame = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0))
         relief, blur = _relief(si, texel)
         wi = si.wi
@@ -223,7 +230,8 @@ class Optics:
         # The cuticle on the viewer's side, and how open both sides are.
         side = surface * 2 + dr.select(in_front, mi.UInt32(0), mi.UInt32(1))
         cuticle = dr.gather(mi.Vector4f, self.sides, side, active)
-        gloss = GlossLobes(cuticle.w, dr.square(cuticle.x) + blur, dr.square(cuticle.y) + blur, cuticle.z)
+        width = blur if shown is None else blur - shown
+        gloss = GlossLobes(cuticle.w, dr.square(cuticle.x) + width, dr.square(cuticle.y) + width, cuticle.z)
         cover = dr.clip(values.z * texel.residue, 0.0, _MOST_COVER)
         cover_behind = cover * dr.gather(mi.Float, self.residue_behind, surface, active)
         table, weight = self._blurred_table(surface, blur, active)
@@ -256,6 +264,7 @@ class Optics:
             # Rounding may take the scanned black below 0.
             is_scanned=None if colour is None or self.scanned is None else colour.x > 0.5 * PIGMENTS,
             colour=colour,
+            change=change,
         )
         return SurfacePlace(place, frame, wi, gloss, near, far)
 
@@ -289,6 +298,8 @@ class Optics:
             front, back = dr.select(place.is_scanned, seen, front), dr.select(place.is_scanned, seen, back)
             through = dr.select(place.is_scanned, 0.0, through)
             variance = dr.select(place.is_scanned, spread, variance)
+        if place.change is not None:
+            front, back = (changed_reflectance(side, through, place.change) for side in (front, back))
         squared, least = through * through * residue, 1e-6
         front_backed = front + cover_behind * squared / dr.maximum(1.0 - residue * back, least)
         back_backed = back + cover * squared / dr.maximum(1.0 - residue * front, least)

@@ -358,6 +358,8 @@ class BodyPlace:
         lost: fraction of the body's light that a relief sends below the horizon; None without relief.
         is_scanned: whether a scan gives the colour; None if no organ has any.
         colour: linear sRGB of the scan.
+        change: relative change of the body's reflectance by a fine texture, where the body absorbs all other
+            light; None without fine textures.
     """
 
     row: Any
@@ -371,6 +373,7 @@ class BodyPlace:
     lost: Any | None = None
     is_scanned: Any | None = None
     colour: Any = None
+    change: Any | None = None
 
 
 @dataclass(frozen=True, eq=False)
