@@ -31,8 +31,8 @@ _MOST_STEPS: Final = 60  # chosen: halves any range of exposures to the resoluti
 _MORE_LIGHT: Final = 2.0  # chosen: an image that so much more light leaves as it is shows what is saturated
 _MOST_SATURATED: Final = 0.003
 """Predicted share of the metered pixels that may be saturated. Chosen: in views of four recipes, at most 1 %
-of the image's are then. Before a bright sky they are up to six times as many, as demosaicing mixes it into the
-edges of leaves; by flash half as many."""
+of the image's are then. Before a bright sky they are up to six times as many, as demosaicing mixes it into
+the edges of leaves; by flash half as many."""
 
 
 @dataclass(frozen=True)
