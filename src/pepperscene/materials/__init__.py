@@ -4,6 +4,7 @@ from pepperscene.materials.greenhouse import greenhouse_surfaces, twine_surface
 from pepperscene.materials.leaf import leaf_body, leaf_optics
 from pepperscene.materials.organs import organ_surfaces
 from pepperscene.materials.rind import cut_surface, flesh_reflectance, rind_reflectance
+from pepperscene.materials.stand import stand_surfaces
 from pepperscene.materials.surface import Surface, lambertian_surface
 
 __all__ = [
@@ -16,5 +17,6 @@ __all__ = [
     "leaf_optics",
     "organ_surfaces",
     "rind_reflectance",
+    "stand_surfaces",
     "twine_surface",
 ]

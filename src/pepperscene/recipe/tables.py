@@ -11,7 +11,7 @@ from pydantic import Field
 from pepperscene.classes import OrganClass
 from pepperscene.units import MILLIMETRES, Fraction, Name, Table, within
 
-PLANT_TABLES: Final = ("cultivar", "override", "growth", "row", "twine", "greenhouse")
+PLANT_TABLES: Final = ("cultivar", "override", "growth", "row", "twine", "greenhouse", "stand")
 """Keys of a recipe that plants and their surroundings depend on."""
 
 Grey = Annotated[float, within(0, 255)]

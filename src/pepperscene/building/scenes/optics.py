@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
     from pepperscene.materials import Surface
-    from pepperscene.scene import LightReach
+    from pepperscene.scene import LightReach, Stand
 
 
 SurfacePreparation = Callable[[Iterable["Surface"]], None]
@@ -34,20 +34,26 @@ class SurfaceFactory:
     """Makes the surfaces of cultivars; those of the last one are kept, because scenes share it."""
 
     def __init__(self) -> None:
-        self._kept: tuple[tuple[Cultivar, float, float], dict[str, Surface]] | None = None
+        self._kept: tuple[tuple[Cultivar, float, float, Stand | None], dict[str, Surface]] | None = None
 
     def surfaces(
-        self, cultivar: Cultivar, first_nm: float, last_nm: float, worker: FunctionWorker | None = None
+        self,
+        cultivar: Cultivar,
+        first_nm: float,
+        last_nm: float,
+        stand: Stand | None = None,
+        worker: FunctionWorker | None = None,
     ) -> dict[str, Surface]:
-        """The surfaces of a cultivar and of the greenhouse by name.
+        """The surfaces of a cultivar, of the greenhouse and of a stand by name.
 
         Args:
             cultivar: its organs.
             first_nm: first wavelength, nanometres.
             last_nm: last wavelength, nanometres.
+            stand: of the plant, or None.
             worker: another process that makes them, so that threads of this one can work meanwhile.
         """
-        key = cultivar, first_nm, last_nm
+        key = cultivar, first_nm, last_nm, stand
         if self._kept is None or self._kept[0] != key:
             # Release the old surfaces before making new ones.
             self._kept = None
@@ -60,12 +66,15 @@ class SurfaceFactory:
         return self._kept[1]
 
 
-def make_surfaces(cultivar: Cultivar, first_nm: float, last_nm: float) -> dict[str, Surface]:
-    """The surfaces of a cultivar and of the greenhouse by name, in this process."""
-    from pepperscene.materials import greenhouse_surfaces, organ_surfaces
+def make_surfaces(
+    cultivar: Cultivar, first_nm: float, last_nm: float, stand: Stand | None = None
+) -> dict[str, Surface]:
+    """The surfaces of a cultivar, of the greenhouse and of a stand by name, in this process."""
+    from pepperscene.materials import greenhouse_surfaces, organ_surfaces, stand_surfaces
 
     nm = np.arange(first_nm, last_nm + GRID_STEP_NM / 2, GRID_STEP_NM)
-    return {**organ_surfaces(cultivar, nm), **greenhouse_surfaces(nm)}
+    of_stand = {} if stand is None else stand_surfaces(nm, stand.pot_colour, stand.backdrop_colour)
+    return {**organ_surfaces(cultivar, nm), **greenhouse_surfaces(nm), **of_stand}
 
 
 def largest_light_reach(setups: Sequence[FrameSetup]) -> LightReach:
