@@ -29,8 +29,8 @@ STAND_COLOURS: Final = {
     "grey": ((400.0, 0.18), (1100.0, 0.20)),
     # A blue dye, transparent beyond 680 nm as dyes of textiles are.
     "blue": (
-        (400.0, 0.14), (450.0, 0.25), (480.0, 0.22), (520.0, 0.10), (560.0, 0.05), (640.0, 0.05),
-        (680.0, 0.12), (740.0, 0.50), (1100.0, 0.60),
+        (400.0, 0.16), (450.0, 0.24), (480.0, 0.22), (520.0, 0.13), (560.0, 0.08), (640.0, 0.07),
+        (680.0, 0.13), (740.0, 0.50), (1100.0, 0.60),
     ),
 }  # fmt: skip
 """Colours of pots, cloths and walls: wavelength in nm and reflectance. All are chosen. Linear in between, the

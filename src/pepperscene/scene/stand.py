@@ -47,7 +47,7 @@ _TRAY: Final = (
 )  # chosen: width of a tray over that of the pot's base, and its height over its width
 _TRAY_FLOOR: Final = 0.003  # chosen
 _TABLE_HEIGHT: Final = 0.03  # chosen: thickness of a turntable's disc
-_STAKE: Final = (0.004, 0.02)  # chosen: radius of a bamboo cane, and its distance behind the stem
+_STAKE: Final = (0.004, (0.015, 0.012))  # chosen: radius of a bamboo cane, and where it stands beside the stem
 _GRAIN: Final = 0.004  # chosen: grains of substrate
 _GRAIN_HEIGHT: Final = 0.0025  # chosen: standard deviation of their heights
 _PERLITE: Final = 0.06  # chosen: fraction of grains that are perlite
@@ -85,7 +85,7 @@ class Stand(Table):
         pot_height_m: of the pot.
         pot_colour: a colour; also of the tray.
         tray: a tray below the pot.
-        stake_m: 0 for none; height above the substrate of a bamboo cane behind the stem.
+        stake_m: 0 for none; height above the substrate of a bamboo cane beside the stem.
         turntable_m: 0 for none; diameter of the disc that carries the pot, at least its width.
         turn_rad: angle by which the plant turns from each view to the next, counter-clockwise seen from
             above; camera, light and backdrop stay.
@@ -206,12 +206,12 @@ def _tray(stand: Stand) -> Mesh:
 
 
 def _stake(stand: Stand) -> Mesh:
-    """A bamboo cane behind the stem, from the pot's base upwards."""
-    radius, behind = _STAKE
+    """A bamboo cane beside the stem, from the pot's base upwards."""
+    radius, beside = _STAKE
     top = stand.stem_base_m + stand.stake_m
     foot = stand._pot_foot_m + _TRAY_FLOOR
     cane = _lathe([(0.0, foot), (radius, foot), (0.9 * radius, top), (0.0, top)], "stake")
-    return as_single_instance(cane.moved(np.eye(3), np.array([0.0, behind, 0.0])), "stake")
+    return as_single_instance(cane.moved(np.eye(3), np.array([*beside, 0.0])), "stake")
 
 
 def _substrate(stand: Stand) -> Mesh:
