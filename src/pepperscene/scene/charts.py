@@ -184,7 +184,7 @@ class Chart(Table):
         # As the pattern at its edge.
         edge = np.full(len(card.vertices), patch_state(int(image[0, 0])), np.float32)
         whole = concatenate_meshes([_pattern_mesh(image, x, y), replace(card, state=edge)])
-        return as_single_instance(whole, self.kind.value).moved(self.pose[:3, :3], self.pose[:3, 3])
+        return as_single_instance(whole, str(self.kind)).moved(self.pose[:3, :3], self.pose[:3, 3])
 
 
 def _patch_edges(count: int, pitch: float) -> NDArray[np.float64]:

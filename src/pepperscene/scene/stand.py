@@ -29,7 +29,6 @@ from pepperscene.units import (
     Switch,
     Table,
     ZeroOrAtLeast,
-    file_values,
     within,
 )
 
@@ -47,7 +46,7 @@ _TRAY: Final = (
 )  # chosen: width of a tray over that of the pot's base, and its height over its width
 _TRAY_FLOOR: Final = 0.003  # chosen
 _TABLE_HEIGHT: Final = 0.03  # chosen: thickness of a turntable's disc
-_STAKE: Final = (0.004, (0.015, 0.012))  # chosen: radius of a bamboo cane, and where it stands beside the stem
+_STAKE: Final = (0.004, (0.015, 0.012))  # chosen: radius of a bamboo cane, and its place beside the stem
 _GRAIN: Final = 0.004  # chosen: grains of substrate
 _GRAIN_HEIGHT: Final = 0.0025  # chosen: standard deviation of their heights
 _PERLITE: Final = 0.06  # chosen: fraction of grains that are perlite
@@ -113,11 +112,10 @@ class Stand(Table):
     charts: Annotated[tuple[Chart, ...], Field(max_length=20)] = ()
 
     def __post_init__(self) -> None:
-        in_file = file_values(self)
-        disc_mm, pot_mm = in_file["turntable_mm"], in_file["pot_width_mm"]
-        if 0 < disc_mm < pot_mm:
+        if 0 < self.turntable_m < self.pot_width_m:
             raise ValueError(
-                f"turntable_mm = {disc_mm:g} must be 0 for none, or at least pot_width_mm, {pot_mm:g}"
+                f"turntable_mm = {1e3 * self.turntable_m:g} must be 0 for none, or at least pot_width_mm, "
+                f"{1e3 * self.pot_width_m:g}"
             )
         if self.backdrop != Backdrop.NONE and self.backdrop_distance_m < 0.5 * max(
             self.turntable_m, self.pot_width_m
