@@ -8,7 +8,6 @@ from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes, single_instance_mesh
@@ -65,15 +64,14 @@ class Chart(Table):
     are a third of their width apart.
 
     Attributes:
-        kind: a ChArUco board, an ArUco board, a ColorChecker, or a scale bar.
         position_m: x, y and z of its centre; 0, 0, 0 is on the ground below the plant.
         azimuth_rad: direction that it faces: 0 is towards the aisle, positive towards +x.
         tilt_rad: 0 stands upright, 90 lies face up.
-        count: columns and rows of squares, markers or divisions; default: 7 and 5 for `charuco`, 2 and 2 for
-            `aruco`, 20 and 1 for `scale_bar`; always 6 and 4 for `colorchecker`.
-        cell_m: side of a square, of a marker or of a division, or distance from patch to patch; at least 3.
-            Default: 30, 40, 10 and 44.5.
-        first_marker: number of its first marker.
+        count: columns and rows of squares, markers or divisions. Default: 7 and 5 for `charuco`, 2 and 2 for
+            `aruco`, 20 and 1 for `scale_bar`. A `colorchecker` has 6 and 4.
+        cell_m: side of a square, a marker or a division, or distance from patch to patch. Default: 30 for
+            `charuco`, 40 for `aruco`, 44.5 for `colorchecker`, 10 for `scale_bar`.
+        first_marker: number of its first marker in the dictionary.
         turns: whether it turns with the plant, or stays with the camera.
     """
 
@@ -81,7 +79,7 @@ class Chart(Table):
     position_m: tuple[_Coordinate, _Coordinate, _Coordinate]
     azimuth_rad: Angle = 0.0
     tilt_rad: Annotated[float, within(-90, 90), DEGREES] = 0.0
-    count: Annotated[tuple[_Count, ...], Field(min_length=2, max_length=2)] | None = None
+    count: tuple[_Count, _Count] | None = None
     cell_m: Annotated[float, within(3, 200), MILLIMETRES] | None = None
     first_marker: Annotated[int, within(0, 49)] = 0
     turns: Switch = False
@@ -103,8 +101,7 @@ class Chart(Table):
     @property
     def cells(self) -> tuple[int, int]:
         """Columns and rows."""
-        columns, rows = self.count or _DEFAULTS[self.kind][0]
-        return columns, rows
+        return self.count or _DEFAULTS[self.kind][0]
 
     @property
     def cell_size_m(self) -> float:
