@@ -14,7 +14,7 @@ from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import stand_surfaces
 from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.render import render_scene
-from pepperscene.scene import Chart, assemble_scene, stand_meshes, turned_parts, uniform_sky
+from pepperscene.scene import CalibrationChart, assemble_scene, stand_meshes, turned_parts, uniform_sky
 from pepperscene.scene.charts import ChartKind
 from pepperscene.spectra import Spectrum
 
@@ -24,8 +24,8 @@ SENSOR = "ueye_ui5250re"
 TO_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From the axes of a stand to those of a camera that looks along +y: right, down, forwards."""
 PLANT = {
-    "camera.width": 160, "camera.height": 120, "plan.frames": 6, "stand.turn_deg": 60, "camera.exposure_us": 30_000,
-    "override.stem.parts": 6,
+    "camera.width": 160, "camera.height": 120, "camera.exposure_us": 30_000,
+    "plan.frames": 6, "stand.turn_deg": 60, "override.stem.parts": 6,
 }  # fmt: skip
 
 
@@ -36,7 +36,7 @@ def test_patches_have_the_electrons_and_colours_of_their_spectra():
         160, 120, sensor=SENSOR, flash=even_lamp(load_flash("led_matrix_200klx").spectrum, 60_000.0)
     )
     pitch = 120 * 0.5 / camera.intrinsics[1, 1] / 5.0
-    chart = Chart(kind=ChartKind.COLORCHECKER, position_m=(0.0, 0.0, 0.0), cell_m=pitch)
+    chart = CalibrationChart(kind=ChartKind.COLORCHECKER, position_m=(0.0, 0.0, 0.0), cell_m=pitch)
     mesh = chart.mesh().moved(TO_CAMERA, np.array([0.0, 0.0, 0.5]))
     scene = assemble_scene(mesh, {"chart": stand_surfaces(NM)["chart"]})
     electrons = render_scene(scene, camera, ["electrons"], "standard", seed=3)["electrons"]

@@ -19,7 +19,7 @@ from pepperscene.camera import StereoMatching
 from pepperscene.recipe import views_tables
 from pepperscene.recipe.camera_tables import AutoExposureTable
 from pepperscene.recipe.tables import GrowthTable, WhiteReferenceTable
-from pepperscene.scene import Chart, Daylight, DoubleRow, Greenhouse, Stand, Twine
+from pepperscene.scene import CalibrationChart, Daylight, DoubleRow, Greenhouse, Stand, Twine
 from pepperscene.units import Name, Unit, ZeroOrAtLeast, file_key, is_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "recipe.md"
@@ -38,7 +38,7 @@ TABLES = {
     "`[twine]`": Twine,
     "`[greenhouse]`": Greenhouse,
     "`[stand]`": Stand,
-    "`[[stand.charts]]`": Chart,
+    "`[[stand.charts]]`": CalibrationChart,
 }
 """Headings of the page, and what the last table of keys below each of them holds."""
 LINKS = {

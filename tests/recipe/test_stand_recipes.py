@@ -13,7 +13,7 @@ CHART = "[[stand.charts]]\nposition_mm = [0, 0, 100]\n"
 INVALID = [
     ("[stand]\npot_width_mm = 900", "stand.pot_width_mm = 900"),
     ("[stand]\npot_height_mm = -100", "stand.pot_height_mm = -100"),
-    ("[stand]\npot_width_mm = 500", "stand: turntable_mm = 420 must be 0 for none, or at least pot_width_mm, 500"),
+    ("[stand]\npot_width_mm = 500", "stand: turntable_mm = 420 must be 0 for none"),
     ("[stand]\npot = 'round'\npot_shape = 'square'", "stand.pot_shape"),
     ("[stand]\nbackdrop = ['cloth', 'cabin']", "stand.backdrop"),
     ("[stand]\nbackdrop = 'curtain'", "stand.backdrop"),
@@ -25,7 +25,10 @@ INVALID = [
     ("[stand]\nturn_deg = 400", "stand.turn_deg = 400"),
     ("[row]\nplants_front = 3", "stand: is for one plant"),
     ("[greenhouse]\nfloor = true", "stand: is for one plant"),
-    ("[plan]\nframes = 2\n[views]\nkind = 'random'\ntarget = 'leaf'\ndistance_mm = [300, 500]", "stand.turn_deg = 6"),
+    (
+        "[plan]\nframes = 2\n[views]\nkind = 'random'\ntarget = 'leaf'\ndistance_mm = [300, 500]",
+        "stand.turn_deg = 6",
+    ),
     (CHART + "kind = 'charuco'\ncell_mm = 1", "stand.charts.0.cell_mm = 1"),
     (CHART + "kind = 'charuco'\ncount = [12, 9]", "stand.charts.0: count = [12, 9] needs 54 markers"),
     (CHART + "kind = 'charuco'\ncount = [1, 9]", "stand.charts.0: count must be at least [2, 2]"),

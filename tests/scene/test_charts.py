@@ -9,7 +9,7 @@ import trimesh
 
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials.stand import BLACK_PATCH, WHITE_PATCH
-from pepperscene.scene import Chart, Stand, stand_meshes, turned_parts
+from pepperscene.scene import CalibrationChart, Stand, stand_meshes, turned_parts
 from pepperscene.scene.charts import MARKERS, marker_bits
 from pepperscene.scene.stand import Backdrop, PotShape
 
@@ -32,7 +32,7 @@ def test_markers_are_those_of_opencv():
 def test_charuco_boards_are_those_of_opencv(count):
     board = cv2.aruco.CharucoBoard(count, 0.04, 0.03, DICTIONARY)
     drawn = board.generateImage((8 * count[0], 8 * count[1]))
-    chart = Chart(kind="charuco", position_m=(0, 0, 0), count=count)
+    chart = CalibrationChart(kind="charuco", position_m=(0, 0, 0), count=count)
     assert np.array_equal(picture(chart), np.where(drawn > 127, 255, 0))
     assert chart.marker_count == len(board.getIds())
 
@@ -40,12 +40,12 @@ def test_charuco_boards_are_those_of_opencv(count):
 def test_aruco_boards_are_those_of_opencv():
     board = cv2.aruco.GridBoard((3, 2), 0.06, 0.02, DICTIONARY, np.arange(10, 16))
     drawn = board.generateImage((3 * 8 - 2, 2 * 8 - 2))
-    chart = Chart(kind="aruco", position_m=(0, 0, 0), count=(3, 2), first_marker=10)
+    chart = CalibrationChart(kind="aruco", position_m=(0, 0, 0), count=(3, 2), first_marker=10)
     assert np.array_equal(picture(chart), np.where(drawn > 127, 255, 0))
 
 
 def test_charts_have_the_size_of_their_cells():
-    edges = {kind: Chart(kind=kind, position_m=(0, 0, 0), cell_m=0.02).pattern()[1:] for kind in
+    edges = {kind: CalibrationChart(kind=kind, position_m=(0, 0, 0), cell_m=0.02).pattern()[1:] for kind in
              ("charuco", "aruco", "colorchecker", "scale_bar")}  # fmt: skip
     x, y = edges["charuco"]
     assert (x[-3] - x[2], y[-3] - y[2]) == pytest.approx((7 * 0.02, 5 * 0.02))
@@ -63,7 +63,7 @@ def test_charts_have_the_size_of_their_cells():
 )
 def test_charts_face_their_direction(azimuth_deg, tilt_deg, right, front):
     """The first patch, dark skin, is at the upper left; areas and winding by trimesh."""
-    chart = Chart(
+    chart = CalibrationChart(
         kind="colorchecker",
         position_m=(0.1, 0.2, 0.3),
         azimuth_rad=np.radians(azimuth_deg),
@@ -127,7 +127,9 @@ def test_backdrops_face_the_plant(backdrop):
 
 
 def test_only_what_stays_is_turned():
-    charts = tuple(Chart(kind="aruco", position_m=(0.3, 0, 0.1), turns=turns) for turns in (True, False))
+    charts = tuple(
+        CalibrationChart(kind="aruco", position_m=(0.3, 0, 0.1), turns=turns) for turns in (True, False)
+    )
     turning, staying = stand_meshes(Stand(charts=charts))
     mesh = concatenate_meshes([*turning, *staying])
     turned = turned_parts(mesh, len(staying), np.radians(90.0))

@@ -1,6 +1,6 @@
 """Scenes as plain data: plant rows, greenhouse, sky and cover, and the culling of invisible geometry."""
 
-from pepperscene.scene.charts import Chart
+from pepperscene.scene.charts import CalibrationChart
 from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import (
     LightReach,
@@ -25,7 +25,7 @@ from pepperscene.scene.sky import Daylight, Sky, Sun, partly_cloudy_sky, uniform
 from pepperscene.scene.stand import Stand, stand_meshes, turned_parts, turned_sky
 
 __all__ = [
-    "Chart",
+    "CalibrationChart",
     "Cover",
     "Daylight",
     "DoubleRow",

@@ -56,7 +56,7 @@ _Count = Annotated[int, within(1, 40)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chart(Table):
+class CalibrationChart(Table):
     """A flat chart with black and white squares or coloured patches, whose light comes from its spectra.
 
     Boards use OpenCV's dictionary `DICT_4X4_50`, and have its markers in OpenCV's order, row by row from the

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from pepperscene.classes import OrganClass
 from pepperscene.geometry import Mesh, concatenate_meshes, single_instance_mesh
-from pepperscene.scene.charts import Chart
+from pepperscene.scene.charts import CalibrationChart
 from pepperscene.scene.greenhouse import as_single_instance
 from pepperscene.scene.row import rotation_about_z
 from pepperscene.scene.sky import Sky
@@ -109,7 +109,7 @@ class Stand(Table):
     backdrop_distance_m: Annotated[float, within(200, 5000), MILLIMETRES] = 0.6
     backdrop_width_m: Annotated[float, within(200, 10_000), MILLIMETRES] = 2.0
     backdrop_height_m: Annotated[float, within(200, 5000), MILLIMETRES] = 1.6
-    charts: Annotated[tuple[Chart, ...], Field(max_length=20)] = ()
+    charts: Annotated[tuple[CalibrationChart, ...], Field(max_length=20)] = ()
 
     def __post_init__(self) -> None:
         if 0 < self.turntable_m < self.pot_width_m:
