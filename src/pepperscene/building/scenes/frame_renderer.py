@@ -360,7 +360,7 @@ class FrameRenderer:
         ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
         surfaces = self._surfaces.surfaces(
-            setup.cultivar, float(first), float(last), setup.recipe.stand, worker
+            setup.cultivar, float(first), float(last), worker, setup.recipe.stand
         )
         if worker is not None:
             # Its memory is not needed any more, while the row is still being made.

@@ -41,8 +41,8 @@ class SurfaceFactory:
         cultivar: Cultivar,
         first_nm: float,
         last_nm: float,
-        stand: Stand | None = None,
         worker: FunctionWorker | None = None,
+        stand: Stand | None = None,
     ) -> dict[str, Surface]:
         """The surfaces of a cultivar, of the greenhouse and of a stand by name.
 
@@ -50,8 +50,8 @@ class SurfaceFactory:
             cultivar: its organs.
             first_nm: first wavelength, nanometres.
             last_nm: last wavelength, nanometres.
-            stand: of the plant, or None.
             worker: another process that makes them, so that threads of this one can work meanwhile.
+            stand: of the plant, or None.
         """
         key = cultivar, first_nm, last_nm, stand
         if self._kept is None or self._kept[0] != key:
