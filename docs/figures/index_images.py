@@ -1207,8 +1207,8 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, bands_notebook, build, camera,
-    visibility, live, tasks, vary, motion, depth, bands, stand, chemistry, read, learn, export, own_crop, cultivar,
-    outputs, harvest, check, plants, rendering, realism,
+    visibility, live, tasks, vary, motion, depth, bands, stand, chemistry, read, learn, export, own_crop,
+    cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (
