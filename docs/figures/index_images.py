@@ -438,6 +438,12 @@ def vary() -> Image.Image:
     return image
 
 
+def stand() -> Image.Image:
+    """A plant on a turntable: part of the picture of the page on stands."""
+    picture = np.asarray(Image.open(IMAGES / "stand.jpg").convert("RGB"))
+    return fill(picture[:305, :405], (WIDTH, HEIGHT), (0.5, 0.6))
+
+
 def motion() -> Image.Image:
     """The same photograph from a camera that stands still, and from one that moves."""
     image = white()
@@ -1210,7 +1216,7 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, bands_notebook, build, camera,
-    visibility, live, tasks, vary, motion, depth, bands, own_spectrum, chemistry, read, learn, export,
+    visibility, live, tasks, vary, motion, depth, bands, own_spectrum, stand, chemistry, read, learn, export,
     own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""

@@ -19,8 +19,8 @@ from pepperscene.camera import StereoMatching
 from pepperscene.recipe import views_tables
 from pepperscene.recipe.camera_tables import AutoExposureTable
 from pepperscene.recipe.tables import GrowthTable, WhiteReferenceTable
-from pepperscene.scene import Daylight, DoubleRow, Greenhouse, Twine
-from pepperscene.units import Name, Unit, ZeroOrAtLeast, file_key
+from pepperscene.scene import CalibrationChart, Daylight, DoubleRow, Greenhouse, Stand, Twine
+from pepperscene.units import Name, Unit, ZeroOrAtLeast, file_key, is_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "recipe.md"
 TABLES = {
@@ -37,6 +37,8 @@ TABLES = {
     "`[daylight]`": Daylight,
     "`[twine]`": Twine,
     "`[greenhouse]`": Greenhouse,
+    "`[stand]`": Stand,
+    "`[[stand.charts]]`": CalibrationChart,
 }
 """Headings of the page, and what the last table of keys below each of them holds."""
 LINKS = {
@@ -47,6 +49,8 @@ LINKS = {
     "file of camera poses": "pose_files.md",
     "are in labels": "#labels-of-far-rows",
     "`polyethylene_film`": "devices.md#cover",
+    "a CSV file of spectra": "devices.md#spectra",
+    "marker boards, ColorCheckers and scale bars": "#standcharts",
 }
 """Phrases of descriptions that the page links."""
 COUNTS = {2: "two", 3: "three"}
@@ -104,6 +108,8 @@ def _choice(values: Any) -> str:
 def _list_text(elements: tuple[Any, ...], rules: list[Any]) -> str:
     bound = {type(rule): rule for rule in rules}
     element = elements[0]
+    if is_table(element):
+        return f"up to {bound[MaxLen].max_length} tables"
     if Ellipsis in elements:
         count = f"{bound[MinLen].min_length} to {bound[MaxLen].max_length}"
     else:

@@ -6,6 +6,7 @@ from pepperscene.materials.measured import curve_notes
 from pepperscene.materials.organs import organ_surfaces
 from pepperscene.materials.rind import cut_surface, flesh_reflectance, rind_reflectance
 from pepperscene.materials.skin import Skin, load_skin
+from pepperscene.materials.stand import stand_surfaces
 from pepperscene.materials.surface import Surface, lambertian_surface
 
 __all__ = [
@@ -21,5 +22,6 @@ __all__ = [
     "load_skin",
     "organ_surfaces",
     "rind_reflectance",
+    "stand_surfaces",
     "twine_surface",
 ]

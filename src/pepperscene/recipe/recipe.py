@@ -14,6 +14,7 @@ from pydantic import Field, PrivateAttr
 from pepperscene import atomic
 from pepperscene.camera import Developing
 from pepperscene.document import Document, read_toml
+from pepperscene.materials.stand import STAND_COLOURS
 from pepperscene.recipe import tables
 from pepperscene.recipe.camera_tables import (
     AUTO,
@@ -27,9 +28,9 @@ from pepperscene.recipe.camera_tables import (
 from pepperscene.recipe.plan import Plan, check_seed
 from pepperscene.recipe.variation.varied import Varied
 from pepperscene.recipe.views_tables import ViewsTable
-from pepperscene.scene import Daylight, DoubleRow, Greenhouse, Twine
+from pepperscene.scene import Daylight, DoubleRow, Greenhouse, Stand, Twine
 from pepperscene.spectra import read_spectra
-from pepperscene.spectra.files import curve_file, find_material
+from pepperscene.spectra.files import curve_file, find_material, spectra_file
 from pepperscene.units import NONE, TABLE_CONFIG, Name
 
 _REFERENCE: Final = "file"
@@ -37,6 +38,7 @@ _REFERENCE: Final = "file"
 
 _POSES: Final = "poses"
 _CALIBRATIONS: Final = "calibrations"
+_COLOURS: Final = "colours"
 
 FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("cultivar",): None,
@@ -54,6 +56,8 @@ FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("daylight", "cover"): "covers",
     ("skin_texture",): "skins",
     ("views", "file"): _POSES,
+    ("stand", "pot_colour"): _COLOURS,
+    ("stand", "backdrop_colour"): _COLOURS,
 }
 """Keys whose values name files, and the folder of the shipped ones; None for cultivars."""
 
@@ -87,6 +91,7 @@ class Recipe(Document):
         skin_texture: shipped name or path of the fine texture of skins, for close views, or "none".
         growth: a stage between two cultivar files, or None for the cultivar as in its file.
         greenhouse: surroundings of an irregular row, or None for evenly spaced, upright plants alone.
+        stand: pot, backdrop and charts of a single plant, or None.
         expect: expected statistics of the finished data set, or None; see `pepperscene check`.
     """
 
@@ -105,6 +110,7 @@ class Recipe(Document):
     skin_texture: Name = NONE
     growth: tables.GrowthTable | None = None
     greenhouse: Greenhouse | None = None
+    stand: Stand | None = None
     expect: tables.ExpectTable | None = None
     auto_exposure: AutoExposureTable | None = None
     depth_camera: DepthCameraTable | None = None
@@ -204,6 +210,12 @@ def _fingerprints(part: str, folder: str | None, name: str) -> dict[str, dict[st
         from pepperscene.camera.optics.calibration import read_calibration
 
         return {part: _fingerprint(Path(name), read_calibration(Path(name)).to_json())}
+    if folder == _COLOURS:
+        return (
+            {}
+            if name in STAND_COLOURS
+            else {part: _fingerprint(spectra_file(name), _spectra_values(spectra_file(name)))}
+        )
     if folder == _POSES:
         return {part: {"name": Path(name).stem, "sha256": atomic.digest(Path(name), "mesh")}}
     return _material_fingerprints(part, find_material(folder, name))
@@ -219,10 +231,13 @@ def _material_fingerprints(part: str, file: Path) -> dict[str, dict[str, str]]:
     fingerprints = {part: _fingerprint(file, content)}
     for table, reference in _references(content):
         path = curve_file(file, reference)
-        curves = read_spectra(path)
-        values = {name: [c.wavelength_nm.tolist(), c.values.tolist()] for name, c in curves.items()}
-        fingerprints[".".join((part, *table))] = _fingerprint(path, values)
+        fingerprints[".".join((part, *table))] = _fingerprint(path, _spectra_values(path))
     return fingerprints
+
+
+def _spectra_values(path: Path) -> dict[str, Any]:
+    curves = read_spectra(path)
+    return {name: [c.wavelength_nm.tolist(), c.values.tolist()] for name, c in curves.items()}
 
 
 def _cultivar_fingerprints(part: str, cultivar: str) -> dict[str, dict[str, str]]:

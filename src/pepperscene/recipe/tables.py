@@ -11,7 +11,16 @@ from pydantic import Field
 from pepperscene.classes import OrganClass
 from pepperscene.units import MILLIMETRES, Fraction, Name, Table, within
 
-PLANT_TABLES: Final = ("cultivar", "override", "growth", "row", "twine", "greenhouse", "skin_texture")
+PLANT_TABLES: Final = (
+    "cultivar",
+    "override",
+    "growth",
+    "row",
+    "twine",
+    "greenhouse",
+    "skin_texture",
+    "stand",
+)
 """Keys of a recipe that plants and their surroundings depend on."""
 
 Grey = Annotated[float, within(0, 255)]

@@ -1,5 +1,6 @@
 """Scenes as plain data: plant rows, greenhouse, sky and cover, and the culling of invisible geometry."""
 
+from pepperscene.scene.charts import CalibrationChart
 from pepperscene.scene.cover import Cover, load_cover
 from pepperscene.scene.culling import (
     LightReach,
@@ -21,8 +22,10 @@ from pepperscene.scene.greenhouse import (
 from pepperscene.scene.placement import Scene, Skeleton, assemble_scene, build_skeleton
 from pepperscene.scene.row import DoubleRow, Twine, add_twine, double_row, place_plants, rotation_about_z
 from pepperscene.scene.sky import Daylight, Sky, Sun, partly_cloudy_sky, uniform_sky
+from pepperscene.scene.stand import Stand, stand_meshes, turned_parts, turned_sky
 
 __all__ = [
+    "CalibrationChart",
     "Cover",
     "Daylight",
     "DoubleRow",
@@ -33,6 +36,7 @@ __all__ = [
     "Scene",
     "Skeleton",
     "Sky",
+    "Stand",
     "Sun",
     "Twine",
     "ViewFrustums",
@@ -55,6 +59,9 @@ __all__ = [
     "partly_cloudy_sky",
     "place_plants",
     "rotation_about_z",
+    "stand_meshes",
+    "turned_parts",
+    "turned_sky",
     "uniform_sky",
     "view_frustums",
 ]

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 from pepperscene.building.scenes.optics import (
     SurfaceFactory,
@@ -19,6 +19,8 @@ from pepperscene.building.scenes.optics import (
     prepare_for_mitsuba,
 )
 from pepperscene.building.scenes.scene_builder import NearPlants, NearScene, SceneBuilder
+from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
+from pepperscene.building.scenes.turning import TurnableScenes, sky_at, turn_metadata, turn_of
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import OUTPUTS, needs_surfaces
@@ -31,43 +33,12 @@ from pepperscene.recipe.resolve.load_camera import surface_wavelengths
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, Partners
-    from pepperscene.camera.image.auto_exposure import ChosenExposure, ExposureControl
+    from pepperscene.camera import Camera
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.recipe.views.fixed_views import View
     from pepperscene.render import Quality
     from pepperscene.scene import Scene, Sky
-
-
-class SceneRenderer(Protocol):
-    """Renders views of one scene."""
-
-    def render(
-        self,
-        camera: Camera,
-        outputs: Sequence[str] = ...,
-        quality: str | Quality = ...,
-        seed: int = ...,
-        *,
-        partners: Partners = ...,
-        sky: Sky | Literal["scene"] | None = ...,
-        exposure_control: ExposureControl | None = ...,
-    ) -> Frame:
-        """Render one view; see `Renderer.render`."""
-
-    def meter(
-        self, camera: Camera, control: ExposureControl, seed: int, sky: Sky | None, quality: str | Quality
-    ) -> ChosenExposure:
-        """Choose the exposure of a view."""
-
-    def visible_points(
-        self, camera: Camera, points: Any, normals: Any = ..., *, alone: int | None = ...
-    ) -> Any:
-        """Whether points can be seen; see `PointTest`."""
-
-
-RendererFactory = Callable[["Scene"], SceneRenderer]
 
 
 def mitsuba_renderer(scene: Scene) -> SceneRenderer:
@@ -90,12 +61,12 @@ class _HeldScene:
     """The scene that is held, and its renderer.
 
     Attributes:
-        key: plants, set, rotation, and whether it has surfaces and light.
-        light: set and `FrameSetup.light`, which the scene's own sky depends on.
+        key: plants, set, rotation, whether it has surfaces and light, and the turn of the plant.
+        light: what the scene's own sky depends on.
     """
 
-    key: tuple[str, int, int, bool]
-    light: tuple[int, str]
+    key: tuple[str, int, int, bool, float]
+    light: tuple[int, str, float]
     assembled: AssembledScene
     renderer: SceneRenderer
 
@@ -111,7 +82,7 @@ class FrameRenderer:
         setups: what each frame depends on.
         views: the cameras of the frames.
         culled: whether triangles that affect no frame are left out of scenes; False is for comparison. Scenes
-            are never culled if views depend on the plants.
+            are never culled if views depend on the plants, or on a stand, which cameras see from all sides.
 
     Args:
         recipe: a recipe, its resolved form, a shipped name or a path.
@@ -137,12 +108,13 @@ class FrameRenderer:
         self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
         self.setups = FrameSetups(self.resolved)
         self.views = CameraViews(self.setups)
-        self.culled = culled and not self.views.depends_on_scene
+        self.culled = culled and not self.views.depends_on_scene and self.recipe.stand is None
         self._renderer_factory = renderer or mitsuba_renderer
         self._near_plants = NearPlants(self.views, self._renderer_factory)
         self._on_stage = on_stage or _ignore
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
+        self._turnable = TurnableScenes()
         self._skies: dict[tuple[int, str, str], Sky | None] = {}
         self._surfaces = SurfaceFactory()
 
@@ -170,7 +142,7 @@ class FrameRenderer:
         *,
         view: View | None = None,
         seed: int | None = None,
-        light: tuple[int, str] = (-1, ""),
+        light: tuple[int, str, float] = (-1, "", 0.0),
     ) -> Frame:
         """Render a frame in a scene of the caller's, from another view or with another seed if given.
 
@@ -182,14 +154,14 @@ class FrameRenderer:
             quality: as of `render`.
             view: of the main camera; the frame has no flow then.
             seed: of light transport and noise.
-            light: set and `FrameSetup.light` that the scene's own sky is for.
+            light: set, `FrameSetup.light` and turn that the scene's own sky is for.
         """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
         scene, visible = assembled.scene, renderer.visible_points
         partners = self.views.partners(spec, outputs, scene, visible, view)
         control = setup.recipe.exposure_control if traced else None
         frame_sky: Sky | Literal["scene"] | None = (
-            self.sky(spec) if traced and light != (spec.set, setup.light) else "scene"
+            self.sky(spec) if traced and light != (spec.set, setup.light, turn_of(spec, setup)) else "scene"
         )
         self._on_stage(f"rendering frame {spec.index}")
         frame = renderer.render(
@@ -202,6 +174,8 @@ class FrameRenderer:
             exposure_control=None if control is None else control.control(),
         )
         described = {**frame.metadata, **assembled.statistics}
+        if view is None:
+            described |= turn_metadata(spec, setup)
         target = self.views.target(spec, assembled.scene) if view is None else None
         if target is not None:
             organ = assembled.scene.mesh.instances[target]
@@ -266,7 +240,7 @@ class FrameRenderer:
         """The objects of a frame's scene, complete."""
         setup = self.setups.at(spec)
         builder, others = self.builder(spec), self.frames_of_scene(spec)
-        coarse_only = builder.scene(spec.set, spec.rotation)
+        coarse_only = self._turnable.scene(spec, setup, builder)
         return self._near_plants.grow((setup.plants, spec.set, spec.rotation), coarse_only, builder, others)
 
     def optics(
@@ -276,7 +250,8 @@ class FrameRenderer:
         setup = self.setups.at(spec)
         if nm is None:
             return self._optics(spec, setup, self.frames_of_scene(spec))
-        return make_surfaces(setup.cultivar, *nm, setup.recipe.skin_texture), self.sky(spec)
+        recipe = setup.recipe
+        return make_surfaces(setup.cultivar, *nm, recipe.skin_texture, recipe.stand), self.sky(spec)
 
     def finish(
         self, spec: FrameSpec, near: NearScene, optics: tuple[Mapping[str, Surface], Sky | None] | None
@@ -315,7 +290,7 @@ class FrameRenderer:
         key = (spec.set, setup.light, setup.plants)
         if key not in self._skies:
             self._skies = {key: self._make_sky(spec, setup)}
-        return self._skies[key]
+        return sky_at(self._skies[key], turn_of(spec, setup))
 
     def _make_sky(self, spec: FrameSpec, setup: FrameSetup) -> Sky | None:
         from pepperscene.scene import leaf_area_index, partly_cloudy_sky
@@ -345,15 +320,15 @@ class FrameRenderer:
 
     def _scene_of(self, spec: FrameSpec, setup: FrameSetup, traced: bool) -> _HeldScene:
         """The scene of a frame with its renderer."""
-        key = (setup.plants, spec.set, spec.rotation, traced)
-        if self._held is None or self._held.key not in (key, (*key[:3], True)):
+        key = (setup.plants, spec.set, spec.rotation, traced, turn_of(spec, setup))
+        if self._held is None or self._held.key not in (key, (*key[:3], True, key[4])):
             # Release the old scene before making the new one.
             self._held = None
             self._on_stage("growing plants")
             prepare = prepare_for_mitsuba if self._renderer_factory is mitsuba_renderer else None
             assembled = self.assemble(spec, traced=traced, prepare=prepare)
             renderer = self._renderer_factory(assembled.scene)
-            self._held = _HeldScene(key, (spec.set, setup.light), assembled, renderer)
+            self._held = _HeldScene(key, (spec.set, setup.light, turn_of(spec, setup)), assembled, renderer)
         return self._held
 
     def frames_of_scene(self, spec: FrameSpec) -> list[FrameSpec]:
@@ -386,7 +361,7 @@ class FrameRenderer:
         ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
         first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
         surfaces = self._surfaces.surfaces(
-            setup.cultivar, float(first), float(last), worker, setup.recipe.skin_texture
+            setup.cultivar, float(first), float(last), worker, setup.recipe.skin_texture, setup.recipe.stand
         )
         if worker is not None:
             # Its memory is not needed any more, while the row is still being made.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
     from pepperscene.materials import Surface
-    from pepperscene.scene import LightReach
+    from pepperscene.scene import LightReach, Stand
 
 
 SurfacePreparation = Callable[[Iterable["Surface"]], None]
@@ -35,7 +35,7 @@ class SurfaceFactory:
     """Makes the surfaces of cultivars; those of the last one are kept, because scenes share it."""
 
     def __init__(self) -> None:
-        self._kept: tuple[tuple[Cultivar, float, float, str], dict[str, Surface]] | None = None
+        self._kept: tuple[tuple[Cultivar, float, float, str, Stand | None], dict[str, Surface]] | None = None
 
     def surfaces(
         self,
@@ -44,8 +44,9 @@ class SurfaceFactory:
         last_nm: float,
         worker: FunctionWorker | None = None,
         skin: str = NONE,
+        stand: Stand | None = None,
     ) -> dict[str, Surface]:
-        """The surfaces of a cultivar and of the greenhouse by name.
+        """The surfaces of a cultivar, of the greenhouse and of a stand by name.
 
         Args:
             cultivar: its organs.
@@ -53,8 +54,9 @@ class SurfaceFactory:
             last_nm: last wavelength, nanometres.
             worker: another process that makes them, so that threads of this one can work meanwhile.
             skin: name or path of the fine texture, or "none".
+            stand: of the plant, or None.
         """
-        key = cultivar, first_nm, last_nm, skin
+        key = cultivar, first_nm, last_nm, skin, stand
         if self._kept is None or self._kept[0] != key:
             # Release the old surfaces before making new ones.
             self._kept = None
@@ -68,14 +70,15 @@ class SurfaceFactory:
 
 
 def make_surfaces(
-    cultivar: Cultivar, first_nm: float, last_nm: float, skin: str = NONE
+    cultivar: Cultivar, first_nm: float, last_nm: float, skin: str = NONE, stand: Stand | None = None
 ) -> dict[str, Surface]:
-    """The surfaces of a cultivar and of the greenhouse by name, in this process."""
-    from pepperscene.materials import greenhouse_surfaces, load_skin, organ_surfaces
+    """The surfaces of a cultivar, of the greenhouse and of a stand by name, in this process."""
+    from pepperscene.materials import greenhouse_surfaces, load_skin, organ_surfaces, stand_surfaces
 
     nm = np.arange(first_nm, last_nm + GRID_STEP_NM / 2, GRID_STEP_NM)
     texture = None if skin == NONE else load_skin(skin)
-    return {**organ_surfaces(cultivar, nm, texture), **greenhouse_surfaces(nm)}
+    of_stand = {} if stand is None else stand_surfaces(nm, stand.pot_colour, stand.backdrop_colour)
+    return {**organ_surfaces(cultivar, nm, texture), **greenhouse_surfaces(nm), **of_stand}
 
 
 def largest_light_reach(setups: Sequence[FrameSetup]) -> LightReach:

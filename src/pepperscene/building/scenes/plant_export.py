@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from pepperscene.atomic import check_can_write, write_files
 from pepperscene.building.memory import check_fits, report_memory_errors
-from pepperscene.building.scenes.frame_renderer import RendererFactory, SceneRenderer, mitsuba_renderer
+from pepperscene.building.scenes.frame_renderer import mitsuba_renderer
 from pepperscene.building.scenes.plants import grow_plant, growth_stage
+from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
 from pepperscene.classes import OrganClass
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import Stream, check_seed, random_generator

@@ -59,6 +59,7 @@ class BuiltScene:
         skeleton: the plants' organs, with poses as in the mesh.
         far_rows: the plants of far rows.
         begin: numbers of vertices, faces and instances of the mesh before the far rows.
+        staying: number of instances at the mesh's end that do not turn with a stand.
     """
 
     mesh: Mesh
@@ -66,6 +67,7 @@ class BuiltScene:
     skeleton: Skeleton
     far_rows: tuple[FarRow, ...] = ()
     begin: tuple[int, int, int] = (0, 0, 0)
+    staying: int = 0
 
 
 class SceneBuilder:
@@ -87,7 +89,7 @@ class SceneBuilder:
         self.cultivar = cultivar
         self._processes = plant_processes(processes)
         self._factory = PlantFactory(cultivar, recipe.seed, self.greenhouse, recipe.twine)
-        inputs = recipe.seed, self.row, recipe.greenhouse, recipe.twine
+        inputs = recipe.seed, self.row, recipe.greenhouse, recipe.twine, recipe.stand
         self._cache = RowCache(cultivar, inputs, _row_classes())
         self._set: tuple[int, list[PlacedPlant]] | None = None
         self._full_models: dict[int, GrownPlant] = {}
@@ -105,6 +107,7 @@ class SceneBuilder:
             greenhouse_mesh,
             jittered_positions,
             place_plants,
+            stand_meshes,
         )
 
         plants, row, greenhouse, seed = self.plants(set_index), self.row, self.greenhouse, self.recipe.seed
@@ -113,7 +116,9 @@ class SceneBuilder:
 
         # Positions belong to the greenhouse, postures to the plants that rotate through the row.
         positions = jittered_positions(row, greenhouse, random_generator(seed, Stream.PLACE, set_index, 0))
-        feet = np.column_stack([positions, np.full(len(positions), greenhouse.stem_base_m)])
+        stand = self.recipe.stand
+        base_m = (stand or greenhouse).stem_base_m
+        feet = np.column_stack([positions, np.full(len(positions), base_m)])
         turns = np.array([plant.posture.turn_rad for plant in ordered])
         across = np.array([plant.posture.across_m for plant in ordered])
         if self.recipe.greenhouse is not None:
@@ -136,7 +141,8 @@ class SceneBuilder:
 
         # Its surroundings.
         surroundings, far_rows = greenhouse_mesh(row, greenhouse, positions), []
-        parts = [resolved.mesh, *surroundings]
+        turning, staying = ([], []) if stand is None else stand_meshes(stand)
+        parts = [resolved.mesh, *surroundings, *turning, *staying]
         begin = (
             sum(len(part.vertices) for part in parts),
             sum(len(part.faces) for part in parts),
@@ -148,7 +154,7 @@ class SceneBuilder:
             parts += far_row_meshes(self.far_models, far_rows, greenhouse.far_rows_as, begin[2])
         mesh = concatenate_meshes(parts) if len(parts) > 1 else resolved.mesh
         contacts = _total_contacts(resolved.contacts, plants)
-        return BuiltScene(mesh, contacts, skeleton, tuple(far_rows), begin)
+        return BuiltScene(mesh, contacts, skeleton, tuple(far_rows), begin, len(staying))
 
     def with_full_plants(self, built: BuiltScene, numbers: Collection[int]) -> BuiltScene:
         """The scene with some plants of the far rows grown in full.

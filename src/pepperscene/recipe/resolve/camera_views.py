@@ -244,7 +244,9 @@ class CameraViews:
     ) -> View:
         table, frames, where = setup.recipe.views, self._plan.frames, setup.recipe.name
         if not isinstance(table, RandomViews | FunctionViews):
-            return fixed_view(table, spec.step, frames, setup.recipe.greenhouse or Greenhouse(), where)
+            view = fixed_view(table, spec.step, frames, setup.recipe.greenhouse or Greenhouse(), where)
+            stand = setup.recipe.stand
+            return view if stand is None else view.turned(-stand.turned(spec.step))
         if scene is None:
             raise ValueError(f"views of the kind {table.kind} need a scene")
         of_scene, key = self._of_scene.setdefault(scene, _SceneViews()), (spec.moment, table)

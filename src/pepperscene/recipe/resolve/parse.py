@@ -22,6 +22,7 @@ from pepperscene.recipe.resolve.merge import has_field
 from pepperscene.recipe.resolve.resolved import (
     check_growth,
     check_gutters,
+    check_stand,
     check_views,
     load_first_stage,
     load_recipe_cover,
@@ -224,6 +225,7 @@ def check_outcomes(recipe: Recipe, where: str | Path, files: NamedFiles) -> None
         ("depth_camera",): lambda changed: load_depth_camera(changed, where, files),
         ("daylight",): lambda changed: load_recipe_cover(changed, where, files),
         ("row", "greenhouse", "twine"): lambda changed: check_gutters(changed, where),
+        ("row", "greenhouse", "stand", "views"): lambda changed: check_stand(changed, where),
         ("cultivar", "override", "growth"): lambda changed: check_growth(changed, where, files, blended),
         ("views", "cultivar"): lambda changed: _check_views(changed, where, files),
         # Its values depend on each other only, so its model checks all.

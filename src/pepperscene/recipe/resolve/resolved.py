@@ -9,6 +9,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pepperscene.errors import NEEDS_PERMISSION, InputError
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load_camera import (
@@ -99,6 +101,7 @@ def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None 
         files.load(load_skin, where, "skin_texture", recipe.skin_texture)
     camera = load_camera(recipe, where, files)
     check_gutters(recipe, where)
+    check_stand(recipe, where)
     check_views(recipe, cultivar, where)
     depth_camera = load_depth_camera(recipe, where, files)
     return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera)
@@ -232,6 +235,26 @@ def _fraction_of_time(growth: GrowthTable, first: Cultivar, last: Cultivar, wher
         problem = f"must be between the dates of the two files, {first.date} and {last.date}"
         raise InputError(where, problem, key="growth.date", value=growth.date.isoformat())
     return (growth.date - first.date).days / days
+
+
+def check_stand(recipe: Recipe, where: str | Path) -> None:
+    """Raise `InputError` if a stand does not fit its recipe, or a file of a colour is not valid."""
+    from pepperscene.materials.stand import colour_reflectance
+
+    stand, row = recipe.stand, recipe.row
+    if stand is None:
+        return
+    if recipe.greenhouse is not None or row.plants_front + row.plants_back > 1:
+        problem = "is for one plant: row.plants_front = 1, row.plants_back = 0, and no table greenhouse"
+        raise InputError(where, problem, key="stand")
+    if stand.turn_rad and isinstance(recipe.views, FunctionViews | RandomViews):
+        problem = "must be 0 with views that depend on the plant"
+        raise InputError(where, problem, key="stand.turn_deg", value=file_values(stand)["turn_deg"])
+    for key in ("pot_colour", "backdrop_colour"):
+        try:
+            colour_reflectance(getattr(stand, key), np.array([550.0]))
+        except InputError as error:
+            raise InputError(where, str(error), key=f"stand.{key}") from None
 
 
 def check_gutters(recipe: Recipe, where: str | Path) -> None:

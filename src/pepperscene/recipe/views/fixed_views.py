@@ -36,6 +36,20 @@ class View:
     pose: Array
     motion: Motion | None = None
 
+    def turned(self, angle_rad: float) -> View:
+        """The view turned about the world's vertical axis, counter-clockwise seen from above."""
+        if not angle_rad:
+            return self
+        from pepperscene.camera import Motion
+        from pepperscene.scene import rotation_about_z
+
+        turn = np.eye(4)
+        turn[:3, :3] = rotation = rotation_about_z(angle_rad)
+        motion = self.motion
+        if motion is not None:
+            motion = Motion(rotation @ motion.velocity_m_s, rotation @ motion.angular_velocity_rad_s)
+        return View(turn @ self.pose, motion)
+
 
 def view_count(table: Views, where: str = "views") -> int | None:
     """Number of views that a table determines; None if `plan.frames` does.
