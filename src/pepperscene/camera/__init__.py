@@ -31,6 +31,7 @@ from pepperscene.camera.image.electrons import (
     relative_illumination,
     stray_light_factor,
 )
+from pepperscene.camera.lamps.lamp import Lamp
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.optics.flash import Flash, load_flash
 from pepperscene.camera.optics.lens import AngularProfile, Ghost, Lens, StrayLight, load_lens
@@ -62,6 +63,7 @@ __all__ = [
     "FisheyeDistortion",
     "Flash",
     "Ghost",
+    "Lamp",
     "Lens",
     "MatchedDepth",
     "Motion",
