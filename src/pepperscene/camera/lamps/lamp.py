@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -229,6 +230,12 @@ class Lamp:
             "ppf_umol_s": self.ppf_umol_s,
         }
         return described if self.pulse_s is None else {**described, "pulse_s": float(self.pulse_s)}
+
+
+def lamps_seen_from(lamps: Iterable[Lamp], extrinsics: ArrayLike) -> tuple[Lamp, ...]:
+    """The lamps of a camera in the axes of another one; `extrinsics` `(4, 4)` lead from those to its own."""
+    inverse = np.linalg.inv(np.asarray(extrinsics, float))
+    return tuple(lamp.moved(inverse[:3, :3], inverse[:3, 3]) for lamp in lamps)
 
 
 def aimed_axes(axis: ArrayLike, turn_rad: float = 0.0) -> Array:
