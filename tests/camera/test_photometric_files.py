@@ -1,4 +1,4 @@
-"""Photometric files of lamps: IES LM-63 and EULUMDAT in the styles of makers, and files that are cut or wrong."""
+"""Photometric files of lamps, IES LM-63 and EULUMDAT: in the styles of makers, cut, and wrong."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ ANGLES = np.arange(0.0, 181.0, 5.0)
 
 def candela(plane_deg, angle_deg):
     """A beam that is the same in all quarters, without light above the horizon."""
-    across = 1.0 + 0.5 * np.cos(2 * np.radians(plane_deg))
+    across = 1.0 + 0.5 * np.cos(2 * np.radians(plane_deg)) * np.sin(np.radians(angle_deg)) ** 2
     return 1500.0 * np.maximum(np.cos(np.radians(angle_deg)), 0.0) ** 1.5 * across
 
 
