@@ -205,7 +205,8 @@ class Samples:
         choice, place, total = self.next_1d(), self.next_2d(), 0.0
         positions = [(k + choice) / _FLASH_POINTS for k in range(_FLASH_POINTS)]
         for k, chosen in enumerate(self._chosen_lamps(si, point, active, positions, limits)):
-            sample = mi.Point2f((k + place.x) / _FLASH_POINTS, _wrapped(place.y + k * _GOLDEN))
+            # Each point is even over the whole shape, because the number of the choice decides the lamp.
+            sample = mi.Point2f(_wrapped(place.x + k / _FLASH_POINTS), _wrapped(place.y + k * _GOLDEN))
             light, target = self._unshadowed_lamp(si, point, active, spectra, chosen, sample)
             total += light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
         return total / _FLASH_POINTS
