@@ -25,6 +25,10 @@ _LEAST_AHEAD: Final = 1e-9
 """Irradiance straight ahead over the flux and the squared distance; chosen: lux says nothing below it."""
 
 
+STRONGEST_W: Final = 1e6
+"""Of light of a lamp. Chosen: two thousand times the strongest lights of greenhouses."""
+
+
 @dataclass(frozen=True)
 class EmitterShape:
     """A matrix of equal elements across the lamp's axis, each of which emits evenly.
@@ -127,8 +131,10 @@ class Lamp:
         is_orthogonal = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
         if not is_orthogonal or np.linalg.det(rotation) < 0:
             raise ValueError(f"{self.name}: rotation must be a (3, 3) rotation, without reflection")
-        if not 0 < self.flux_W < math.inf or not (self.pulse_s is None or 0 < self.pulse_s < math.inf):
-            raise ValueError(f"{self.name}: flux and pulse must be positive and finite")
+        if not 0 < self.flux_W <= STRONGEST_W:
+            raise ValueError(f"{self.name}: must emit more than 0 and at most {STRONGEST_W:g} W of light")
+        if not (self.pulse_s is None or 0 < self.pulse_s < math.inf):
+            raise ValueError(f"{self.name}: the pulse must be positive and finite")
         if self.spectrum.values.ndim != 1 or not self.spectrum.values.min() >= 0:
             raise ValueError(f"{self.name}: the spectrum must be one curve, at least 0")
         if not self.spectrum.integral() > 0:
@@ -168,7 +174,9 @@ class Lamp:
         given = [value for value in (flux_lm, ppf_umol_s, illuminance_lx) if value is not None]
         if len(given) != 1:
             raise ValueError(f"{self.name}: exactly one strength is needed, not {len(given)}")
-        per_watt = self._photons_per_watt() if ppf_umol_s is not None else illuminance(self.unit_spectrum)
+        per_watt = self._photons_per_watt()
+        if ppf_umol_s is None and per_watt > 0:  # infrared light has a trace of lumens, which say nothing
+            per_watt = illuminance(self.unit_spectrum)
         if illuminance_lx is not None:
             ahead = replace(self, position_m=np.zeros(3), rotation=np.eye(3))
             factor = float(ahead.irradiance_factor([[0.0, 0.0, at_m]], [[0.0, 0.0, -1.0]])[0])
