@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bodies import axis_camera, card, columns_of, matt, sheet, sphere
 
-from pepperscene.camera import Lamp, aimed_axes
+from pepperscene.camera import Developing, Lamp, aimed_axes
 from pepperscene.camera.lamps.beam import even_beam, lambertian_beam
 from pepperscene.camera.lamps.lamp import POINT, EmitterShape, ring
 from pepperscene.geometry import concatenate_meshes
@@ -51,17 +51,21 @@ CASES = {
 }
 
 
-def images(name, sensor="ueye_ui5250re"):
-    """Blocks of electrons of both integrators, and the standard errors of their difference."""
-    lamps, at_camera = CASES[name]
-    mesh = concatenate_meshes(
+def scene_mesh():
+    """A ball and a card in front of a wall."""
+    return concatenate_meshes(
         [
             sheet(0.8, 0.6, 0.6, "wall"),
             sphere((0.03, 0.02, 0.5), 0.06, "ball", 3),
             card(-0.08, 0, 0.06, 0.1, "card", 0.45),
         ]
     )
-    scene = assemble_scene(mesh, SURFACES, lamps=lamps)
+
+
+def images(name, sensor="ueye_ui5250re"):
+    """Blocks of electrons of both integrators, and the standard errors of their difference."""
+    lamps, at_camera = CASES[name]
+    scene = assemble_scene(scene_mesh(), SURFACES, lamps=lamps)
     camera = dataclasses.replace(axis_camera(16, 12, flash=False, sensor=sensor), lamps=tuple(at_camera))
     renderer, blocks = Renderer(scene), []
     for quality in (OURS, dataclasses.replace(OURS, integrator="path", sampler="multijitter")):
@@ -88,3 +92,20 @@ def test_light_of_lamps_is_that_of_the_path_tracer(name):
     assert np.abs(score).max() < 5.0
     # Two lights that are chosen at random have the noise of the choice in all blocks.
     assert np.abs(difference.sum((0, 1)) / light.sum((0, 1))).max() < 6e-3
+
+
+@pytest.mark.parametrize("name", ["panel, point of another spectrum, and ring at the camera", "many"])
+def test_bands_see_the_light_that_colour_channels_see(name):
+    lamps, at_camera = CASES[name]
+    camera = dataclasses.replace(axis_camera(16, 12, flash=False), lamps=tuple(at_camera))
+    bands = dataclasses.replace(
+        camera,
+        sensor=dataclasses.replace(camera.sensor, pattern="bands"),
+        developing=Developing(white_balance="daylight"),
+    )
+    renderer = Renderer(assemble_scene(scene_mesh(), SURFACES, lamps=lamps))
+    seen = [
+        renderer.render(each, ["electrons"], dataclasses.replace(OURS, samples=64, soft=64))["electrons"]
+        for each in (camera, bands)
+    ]
+    np.testing.assert_allclose(seen[1].sum((0, 1)), seen[0].sum((0, 1)), rtol=2e-3)
