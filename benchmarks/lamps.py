@@ -1,4 +1,6 @@
-"""Cost of many lamps: error and time of a frame under 1 and under 40 lamps of the same total flux, in one run.
+"""Cost of many lamps: error and time of a frame under 1 and under 40 lamps of the same total flux.
+
+Both are measured in one run.
 
     python benchmarks/lamps.py [--plants 3] [--size 240x180] [--runs 3]
 

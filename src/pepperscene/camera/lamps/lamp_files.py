@@ -18,7 +18,6 @@ from pepperscene.spectra import read_spectrum
 from pepperscene.spectra.files import CurveTable, SourcedDocument, curve_file, find_material, read_curve
 
 _SIZE_MM: Final = 1e4  # chosen: as of a flash
-_ANGLES: Final = (2, 1000)
 _WHITE: Final = ("light/cie_illuminants_colour_science", "led_b3")
 """Spectrum of lamps of photometric files, which have none: the CIE's white LED of 4103 K."""
 
@@ -32,23 +31,19 @@ class LampBeamTable(Document):
 
     kind: Literal["lambertian", "even"] | None = None
     file: Annotated[str, Field(min_length=1, max_length=400)] | None = None
-    angle_deg: tuple[Annotated[float, Field(ge=0, le=180)], ...] | None = None
+    angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=180)], ...], Field(max_length=1000)] | None = (
+        None
+    )
     relative_intensity: tuple[Annotated[float, Field(ge=0, le=1e6)], ...] | None = None
 
     @model_validator(mode="after")
     def _check_consistency(self) -> LampBeamTable:
-        table = (self.angle_deg, self.relative_intensity)
-        if (table[0] is None) != (table[1] is None):
+        if (self.angle_deg is None) != (self.relative_intensity is None):
             raise ValueError("angle_deg and relative_intensity must be given together")
-        if sum(part is not None for part in (self.kind, self.file, table[0])) != 1:
+        if sum(part is not None for part in (self.kind, self.file, self.angle_deg)) != 1:
             raise ValueError("exactly one of kind, file, and angle_deg with relative_intensity must be given")
-        if table[0] is not None and table[1] is not None:
-            if len(table[0]) != len(table[1]) or not _ANGLES[0] <= len(table[0]) <= _ANGLES[1]:
-                raise ValueError("angle_deg and relative_intensity must be equally long, 2 to 1000 numbers")
-            if table[0][0] != 0 or any(b <= a for a, b in zip(table[0], table[0][1:], strict=False)):
-                raise ValueError("angle_deg must increase from 0")
-            if not any(table[1]):
-                raise ValueError("relative_intensity must contain some light")
+        if self.angle_deg is not None:
+            profile_beam(np.radians(self.angle_deg), self.relative_intensity or ())
         return self
 
 
@@ -65,28 +60,21 @@ class PanelTable(Document):
     def _check_consistency(self) -> PanelTable:
         if (self.size_mm is None) == (self.radius_mm is None):
             raise ValueError("exactly one of size_mm and radius_mm must be given")
-        if max(self.columns, self.rows) > 1 and self.pitch_mm is None:
-            raise ValueError("pitch_mm is required for several columns or rows")
-        for count, pitch, size in zip(
-            (self.columns, self.rows), self.pitch_mm or (0.0, 0.0), self._sizes_mm, strict=True
-        ):
-            if count > 1 and size > pitch * (1 + 1e-9):
-                raise ValueError("elements must not overlap: they are larger than pitch_mm")
+        pitch, size = self.pitch_mm or (0.0, 0.0), self.size_mm or (2.0 * (self.radius_mm or 0.0),) * 2
+        for count, step, width in zip((self.columns, self.rows), pitch, size, strict=True):
+            if count > 1 and width > step * (1 + 1e-9):
+                raise ValueError("several columns or rows need a pitch_mm of at least the size of an element")
         return self
-
-    @property
-    def _sizes_mm(self) -> tuple[float, float]:
-        if self.size_mm is not None:
-            return self.size_mm
-        return (2.0 * (self.radius_mm or 0.0),) * 2
 
     def shape(self) -> EmitterShape:
         """The same in metres."""
-        pitch = tuple(1e-3 * length for length in self.pitch_mm or (0.0, 0.0))
-        size = (0.0, self.radius_mm or 0.0) if self.size_mm is None else self.size_mm
-        is_round = self.size_mm is None
+        pitch, size = self.pitch_mm or (0.0, 0.0), self.size_mm or (0.0, self.radius_mm or 0.0)
         return EmitterShape(
-            self.columns, self.rows, (pitch[0], pitch[1]), (1e-3 * size[0], 1e-3 * size[1]), is_round
+            self.columns,
+            self.rows,
+            (1e-3 * pitch[0], 1e-3 * pitch[1]),
+            (1e-3 * size[0], 1e-3 * size[1]),
+            is_round=self.size_mm is None,
         )
 
 

@@ -78,7 +78,13 @@ class LampSampler:
         dr.make_opaque(self._min_square)
 
     def choose(
-        self, si: Any, point: Any, active: Any, pose: RayPose, lamps: tuple[int, int], positions: list[Any]
+        self,
+        si: Any,
+        point: Any,
+        active: Any,
+        pose: RayPose,
+        positions: list[Any],
+        lamps: tuple[int, int] | None = None,
     ) -> list[tuple[Any, Any]]:
         """Numbers of lamps and the probabilities with which they are chosen.
 
@@ -87,10 +93,11 @@ class LampSampler:
             point: their optical states.
             active: which are active.
             pose: of the camera.
-            lamps: the first to choose from, and the end.
             positions: in [0, 1), one for each choice.
+            lamps: the first to choose from, and the end; None for all.
         """
         mi, dr = mitsuba_modules()
+        lamps = lamps or (0, self.groups[-1])
         first, end = (device_uint(number) for number in lamps)
         if lamps[1] - lamps[0] == 1:
             return [(first, mi.Float(1.0)) for _ in positions]

@@ -204,62 +204,52 @@ class Samples:
         limits = (lamps.groups[group], lamps.groups[group + 1]) if group is not None else None
         choice, place, total = self.next_1d(), self.next_2d(), 0.0
         positions = [(k + choice) / _FLASH_POINTS for k in range(_FLASH_POINTS)]
-        for k, chosen in enumerate(self._chosen_lamps(si, point, active, positions, limits)):
+        for k, chosen in enumerate(lamps.choose(si, point, active, self.pose, positions, limits)):
             # Each point is even over the whole shape, because the number of the choice decides the lamp.
             sample = mi.Point2f(_wrapped(place.x + k / _FLASH_POINTS), _wrapped(place.y + k * _GOLDEN))
-            light, target = self._unshadowed_lamp(si, point, active, spectra, chosen, sample)
+            light, target = self._unshadowed_lamp((si, point, active), spectra, chosen, sample)
             total += light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
         return total / _FLASH_POINTS
 
     def one_lamp_light(self, si: Any, point: Any, active: Any) -> list[Any]:
         """Light of one point of one lamp at later hits, over the spectrum of 1 W, by spectrum."""
+        assert self.tables.lamps is not None
+        (chosen,) = self.tables.lamps.choose(si, point, active, self.pose, [self.next_1d()])
+        light, target, group = self._lamp_point(si, point, active, chosen, self.next_2d())
         _, dr = mitsuba_modules()
-        lamps = self.tables.lamps
-        assert lamps is not None
-        (chosen,) = self._chosen_lamps(si, point, active, [self.next_1d()])
-        number, probability = chosen
-        target, falloff, group = lamps.point(number, si.p, self.next_2d(), self.pose)
-        value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
-        lit = active & (falloff > 0.0) & (probability > 0.0)
-        light = (value * (falloff / dr.maximum(probability, TINY))) & lit
-        light &= ~self.is_occluded(si, target, lit)
-        return [light & (group == k) for k in range(len(lamps.groups) - 1)]
+        light = light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
+        return [light & (group == k) for k in range(len(self.tables.lamps.groups) - 1)]
 
-    def _chosen_lamps(
-        self, si: Any, point: Any, active: Any, positions: list[Any], limits: tuple[int, int] | None = None
-    ) -> list[tuple[Any, Any]]:
-        """Lamps and their probabilities, for positions in [0, 1)."""
-        lamps = self.tables.lamps
-        assert lamps is not None
-        return lamps.choose(si, point, active, self.pose, limits or (0, lamps.groups[-1]), positions)
-
-    def _unshadowed_lamp(
-        self,
-        si: Any,
-        point: Any,
-        active: Any,
-        spectra: LightSpectra,
-        chosen: tuple[Any, Any],
-        sample: Any,
-    ) -> tuple[Any, Any]:
-        """Unshadowed light of a point of a chosen lamp over its probability, and that point."""
+    def _lamp_point(
+        self, si: Any, point: Any, active: Any, chosen: tuple[Any, Any], sample: Any
+    ) -> tuple[Any, Any, Any]:
+        """Unshadowed light of a point of a chosen lamp over its probability, that point, and the spectrum."""
         _, dr = mitsuba_modules()
         lamps, (number, probability) = self.tables.lamps, chosen
         assert lamps is not None
         target, falloff, group = lamps.point(number, si.p, sample, self.pose)
+        value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
+        lit = active & (falloff > 0.0) & (probability > 0.0)
+        return (value * (falloff / dr.maximum(probability, TINY))) & lit, target, group
+
+    def _unshadowed_lamp(
+        self, at_hit: tuple[Any, Any, Any], spectra: LightSpectra, chosen: tuple[Any, Any], sample: Any
+    ) -> tuple[Any, Any]:
+        """As `_lamp_point`, with the spectrum's light."""
+        _, dr = mitsuba_modules()
+        light, target, group = self._lamp_point(*at_hit, chosen, sample)
         emitted = spectra.lamps[0]
         for k, spectrum in enumerate(spectra.lamps[1:], start=1):
             emitted = dr.select(group == k, spectrum, emitted)
-        value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
-        lit = active & (falloff > 0.0) & (probability > 0.0)
-        return (value * emitted * (falloff / dr.maximum(probability, TINY))) & lit, target
+        return light * emitted, target
 
     def _light_with_lamps(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
         """Light of one point of the flash, of the sun's disc, or of one lamp, as `later_light`."""
         _, dr = mitsuba_modules()
         at_hit = si, point, active, spectra
-        (chosen,) = self._chosen_lamps(si, point, active, [self.next_1d()])
-        light, target = self._unshadowed_lamp(*at_hit, chosen, self.next_2d())
+        assert self.tables.lamps is not None
+        (chosen,) = self.tables.lamps.choose(si, point, active, self.pose, [self.next_1d()])
+        light, target = self._unshadowed_lamp((si, point, active), spectra, chosen, self.next_2d())
         lights = [(light, si.spawn_ray_to(target))]
         if self.tables.flash is not None and spectra.flash is not None:
             light, target = self.unshadowed_flash(*at_hit, self.next_2d())
