@@ -37,8 +37,8 @@ instead of 5.7 codes, of which 3.8 are the same for all seeds: six tenths of the
 organs, which share their colour, and a quarter within four pixels of these. Tried there, without gain:
 albedo or normals that differ from organ to organ (5.5 to 9.3), smooth normals (5.3), distance as a guide
 (5.7), regression of what the filter removes on albedo and normals (5.6 to 7.2). By flash, the error of the
-image falls by 1 % only. Where it is little, as by flash, and has few samples, the fast network saves an eighth
-of a draft's time for .5 % more error.
+image falls by 1 % only. Where indirect light is little, as by flash, and has few samples, the fast network
+saves an eighth of a draft's time for .5 % more error.
 """
 
 from __future__ import annotations
@@ -147,8 +147,9 @@ def denoised_indirect(light: TracedLight) -> Image:
 
 
 def _network(light: TracedLight) -> _Network:
-    """Where indirect light is much of the image, guides count as free of noise; where it is little, few samples
-    are filtered by the fastest network.
+    """Where indirect light is much of the image, guides count as free of noise.
+
+    Where it is little, few samples are filtered by the fastest network.
     """
     has_few = light.variance.indirect_samples < _CLEAN_SAMPLES
     is_much = indirect_share(light.indirect, light.flash + light.sky_and_sun) > _CLEAN_FROM

@@ -31,6 +31,8 @@ _TESTS_PER_SOFT: Final = 2
 """Samples of each mean: the least number, and those for each sample of indirect light. Chosen: they take .3 s
 of CPU time, and their noise is less than that of the choice of pixels."""
 _GOLDEN_RATIO: Final = 0.618034
+_STEP: Final = 0.125
+"""Of a difference. Chosen: small beside the light, large beside the steps of a table of tones."""
 _REACH: Final = 8  # pixels; chosen: light that is scattered further is taken as even
 
 
@@ -74,12 +76,16 @@ def measured_error(
     noiseless = replace(camera.developing, shot_noise=False, read_noise=False, quantise=False)
     of_light = replace(camera, developing=noiseless)
     electrons = _electrons_per_light(camera, rows, columns)[:, None]
-    codes, *means = (
-        255.0 * expected_image((part * electrons)[None], of_light)
-        for part in (light, *(light + difference for difference in differences))
-    )
-    first, second = (mean - codes for mean in means)
-    square = float(np.mean(first * second, dtype=float))
+
+    def in_codes(difference: Image) -> NDArray[np.floating]:
+        """A difference of light, linear: the concave tone curve would make codes of noise too low."""
+        above, below = (
+            expected_image(((light + step * difference) * electrons)[None], of_light)
+            for step in (_STEP, -_STEP)
+        )
+        return 255.0 / (2.0 * _STEP) * (above - below)
+
+    square = float(np.mean(in_codes(differences[0]) * in_codes(differences[1]), dtype=float))
     return math.sqrt(square) if square > 0.0 else None
 
 
