@@ -108,6 +108,7 @@ def _to_unit_interval(bits: Any) -> Any:
 
 
 _FLASH_POINTS: Final = 4  # chosen among 1, 2 and 4: the smallest error for the same time
+_SOFT_LAMP_POINTS: Final = 16  # of many lamps, whose light few samples carry; see benchmarks/lamps.py
 _GOLDEN: Final = 0.6180339887498949  # of the golden ratio; steps of it fill the unit interval evenly
 TINY: Final = 1e-30  # chosen: below any relevant light or probability, and safe in single precision
 
@@ -203,13 +204,14 @@ class Samples:
             return point.reflectance * 0.0
         limits = (lamps.groups[group], lamps.groups[group + 1]) if group is not None else None
         choice, place, total = self.next_1d(), self.next_2d(), 0.0
-        positions = [(k + choice) / _FLASH_POINTS for k in range(_FLASH_POINTS)]
+        count = _FLASH_POINTS if self.tables.lamp_optics else _SOFT_LAMP_POINTS
+        positions = [(k + choice) / count for k in range(count)]
         for k, chosen in enumerate(lamps.choose(si, point, active, self.pose, positions, limits)):
             # Each point is even over the whole shape, because the number of the choice decides the lamp.
-            sample = mi.Point2f(_wrapped(place.x + k / _FLASH_POINTS), _wrapped(place.y + k * _GOLDEN))
+            sample = mi.Point2f(_wrapped(place.x + k / count), _wrapped(place.y + k * _GOLDEN))
             light, target = self._unshadowed_lamp((si, point, active), spectra, chosen, sample)
             total += light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
-        return total / _FLASH_POINTS
+        return total / count
 
     def one_lamp_light(self, si: Any, point: Any, active: Any) -> list[Any]:
         """Light of one point of one lamp at later hits, over the spectrum of 1 W, by spectrum."""
