@@ -31,7 +31,7 @@ from pydantic_core import CoreSchema, core_schema
 
 _SUFFIXES: Final = {"_m_s": "_mm_s", "_m": "_mm", "_rad": "_deg", "_s": "_us"}
 """Ends of names of attributes, and those of the keys in files."""
-_SUFFIX: Final = re.compile(r"(?<!_per)(_m_s|_m|_rad|_s)$")
+_SUFFIX: Final = re.compile(r"(?<!_per)(?<!_umol)(_m_s|_m|_rad|_s)$")
 
 
 def file_key(attribute: str) -> str:

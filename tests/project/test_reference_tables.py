@@ -18,6 +18,7 @@ from annotated_types import Ge, Le, MaxLen, MinLen, MultipleOf
 from pepperscene.camera import StereoMatching
 from pepperscene.recipe import views_tables
 from pepperscene.recipe.camera_tables import AutoExposureTable
+from pepperscene.recipe.lamp_tables import LampTable
 from pepperscene.recipe.tables import GrowthTable, WhiteReferenceTable
 from pepperscene.scene import CalibrationChart, Daylight, DoubleRow, Greenhouse, Stand, Twine
 from pepperscene.units import Name, Unit, ZeroOrAtLeast, file_key, is_table
@@ -35,6 +36,7 @@ TABLES = {
     "`[depth_camera]`": StereoMatching,
     "`[white_reference]`": WhiteReferenceTable,
     "`[daylight]`": Daylight,
+    "`[[lamps]]`": LampTable,
     "`[twine]`": Twine,
     "`[greenhouse]`": Greenhouse,
     "`[stand]`": Stand,
@@ -44,6 +46,7 @@ TABLES = {
 LINKS = {
     "while it exposes": "../how-to/motion.md",
     "path of a cultivar file": "cultivar.md",
+    "path of a TOML, `.ies` or `.ldt` file": "devices.md#lamp",
     "kind of an organ": "cultivar.md#organs",
     "a class in lower case": "outputs.md#classes",
     "file of camera poses": "pose_files.md",

@@ -31,6 +31,8 @@ from pepperscene.camera.image.electrons import (
     stray_light_factor,
 )
 from pepperscene.camera.image.metered_image import SUBJECT_METERINGS, Metering, metering_camera
+from pepperscene.camera.lamps.lamp import Lamp, aimed_axes
+from pepperscene.camera.lamps.lamp_files import load_lamp
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.optics.flash import Flash, load_flash
 from pepperscene.camera.optics.lens import AngularProfile, Ghost, Lens, StrayLight, load_lens
@@ -63,6 +65,7 @@ __all__ = [
     "FisheyeDistortion",
     "Flash",
     "Ghost",
+    "Lamp",
     "Lens",
     "MatchedDepth",
     "Metering",
@@ -78,6 +81,7 @@ __all__ = [
     "WhiteReference",
     "add_pedestal",
     "add_stray_light",
+    "aimed_axes",
     "align_depth",
     "arc_path",
     "camera_rgb",
@@ -93,6 +97,7 @@ __all__ = [
     "image_electrons",
     "load_filter",
     "load_flash",
+    "load_lamp",
     "load_lens",
     "load_projector",
     "load_sensor",

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.lamps.lamp import Lamp
 from pepperscene.camera.metadata import recorded_optics
 from pepperscene.camera.optics.flash import Flash
 from pepperscene.camera.optics.lens import Lens
@@ -57,6 +58,7 @@ class Camera:
         motion: velocities during the exposure, or None for a camera that stands still.
         labels_per_row: with a rolling shutter and motion, whether ground truth and `project` follow the pose
             of each row at the middle of its own exposure, as the image does, or have `pose` in all rows.
+        lamps: that move with the camera, in its axes.
 
     Focusing changes neither the field of view nor the light. A thin lens focused at d is (1 + m) f from the
     sensor with m = f / (d - f), and its working f-number is N (1 + m). At 4 mm and 40 cm, m is 1 %: the field
@@ -73,6 +75,7 @@ class Camera:
     focus_m: float | None = None
     motion: Motion | None = None
     labels_per_row: bool = True
+    lamps: tuple[Lamp, ...] = ()
 
     def __post_init__(self) -> None:
         pose = np.array(self.pose, dtype=float)

@@ -13,6 +13,7 @@ from pydantic import Field, PrivateAttr
 
 from pepperscene import atomic
 from pepperscene.camera import Developing
+from pepperscene.camera.lamps.photometric_files import ENDINGS
 from pepperscene.document import Document, read_toml
 from pepperscene.materials.stand import STAND_COLOURS
 from pepperscene.recipe import tables
@@ -25,6 +26,7 @@ from pepperscene.recipe.camera_tables import (
     RigCamera,
     Twins,
 )
+from pepperscene.recipe.lamp_tables import LampTable
 from pepperscene.recipe.plan import Plan, check_seed
 from pepperscene.recipe.variation.varied import Varied
 from pepperscene.recipe.views_tables import ViewsTable
@@ -55,6 +57,7 @@ FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("depth_camera", "projector"): "projectors",
     ("daylight", "cover"): "covers",
     ("skin_texture",): "skins",
+    ("lamps", "lamp"): "lamps",
     ("views", "file"): _POSES,
     ("stand", "pot_colour"): _COLOURS,
     ("stand", "backdrop_colour"): _COLOURS,
@@ -87,6 +90,7 @@ class Recipe(Document):
         rig: further cameras that move with `camera`.
         twins: values by dotted key, one for each twin: frames that differ in these values only.
         daylight: or None for a night scene.
+        lamps: of the scene and the main camera.
         twine: or None for none.
         skin_texture: shipped name or path of the fine texture of skins, for close views, or "none".
         growth: a stage between two cultivar files, or None for the cultivar as in its file.
@@ -118,6 +122,7 @@ class Recipe(Document):
     override: dict[str, Any] = Field(default_factory=dict)
     rig: Annotated[tuple[RigCamera, ...], Field(max_length=MAX_CAMERAS - 1)] = ()
     twins: Twins = Field(default_factory=dict)
+    lamps: tuple[LampTable, ...] = ()
     _variation: tuple[Varied, ...] = PrivateAttr(())
 
     @property
@@ -182,10 +187,11 @@ class Recipe(Document):
         value: Any = self
         for part in key:
             value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+        lamps = [lamp.lamp for lamp in self.lamps] if key[0] == "lamps" else []
         dotted = ".".join(key)
         varied = [name for v in self.variation if v.name == dotted for name in v.extremes]
         rig = [camera.camera.get(key[1]) for camera in self.rig if key[0] == "camera"]
-        names = dict.fromkeys([value, *varied, *self.twins.get(dotted, ()), *rig])
+        names = dict.fromkeys([*lamps, value, *varied, *self.twins.get(dotted, ()), *rig])
         return [name for name in names if isinstance(name, str) and name != NONE]
 
     def sha256(self) -> str:
@@ -227,9 +233,14 @@ def _material_fingerprints(part: str, file: Path) -> dict[str, dict[str, str]]:
     Only values count: comments, layout and folders do not. A spectrum's key ends with those of the tables
     that name it ("sensor.quantum_efficiency").
     """
+    if file.suffix.lower() in ENDINGS:
+        return {part: {"name": file.stem, "sha256": atomic.digest(file, "spectra")}}
     content = read_toml(file)
     fingerprints = {part: _fingerprint(file, content)}
     for table, reference in _references(content):
+        if reference.lower().endswith(ENDINGS):
+            fingerprints |= _material_fingerprints(".".join((part, *table)), file.parent / reference)
+            continue
         path = curve_file(file, reference)
         fingerprints[".".join((part, *table))] = _fingerprint(path, _spectra_values(path))
     return fingerprints

@@ -73,7 +73,8 @@ class KernelScene:
         response = spectral_response(camera, scene)
         if not needs_long_paths(scene, response, self._surface_triangles):
             quality = dataclasses.replace(quality, most_bounces=0)
-        parts = exposure_parts(camera, has_daylight=scene.sky is not None)
+        has_daylight = scene.sky is not None or response.lamps is not None
+        parts = exposure_parts(camera, has_daylight=has_daylight)
         if quality.integrator == "flash":
             return self._trace_samples(camera, quality, parts, response, sampling, scene)
         if parts:
@@ -92,7 +93,7 @@ class KernelScene:
         scene: Scene,
     ) -> TracedSignal:
         """Trace light with our integrator: all together, or the parts of an exposure one by one."""
-        grid, lights = response.grid_nm, []
+        grid, lights, response_without_lamps = response.grid_nm, [], dataclasses.replace(response, lamps=None)
         light_scene, sky = self.light_scene(float(grid[0]), float(grid[-1])), sky_tables(scene, grid)
         if response.by_band:
             quality = dataclasses.replace(quality, directions=0)  # bands are traced along paths
@@ -105,7 +106,7 @@ class KernelScene:
             light = frame_light(
                 light_scene,
                 rays,
-                response,
+                response if part is None or part.has_daylight else response_without_lamps,
                 camera.flash if part is None or part.has_flash else None,
                 sky if part is None or part.has_daylight else None,
                 (quality.bounces, quality.most_bounces),

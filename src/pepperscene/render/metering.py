@@ -43,7 +43,7 @@ def metered_light(
     bounces: int = 2,
     most_bounces: int = 0,
 ) -> tuple[Images, Images]:
-    """Trace daylight and the flash separately, in a reduced image over the camera's field of view.
+    """Trace daylight with the lamps, and then the flash, in a reduced image over the camera's field of view.
 
     The result depends on the arguments alone.
 
@@ -75,15 +75,16 @@ def metered_light(
     # The frame's exposure, and so its mixture of both lights, is not known yet.
     samples = _SAMPLES * max(1, _RAYS // (_SAMPLES * small.width * small.height))
     long = Sampling(samples, samples, bounces, most_bounces=most_bounces)
-    is_long = needs_long_paths(dataclasses.replace(scene, sky=None), response)
+    flash_alone = dataclasses.replace(response, lamps=None)
+    is_long = needs_long_paths(dataclasses.replace(scene, sky=None), flash_alone)
     by_flash = long if is_long else dataclasses.replace(long, most_bounces=0)
     first, second = np.random.SeedSequence(seed, spawn_key=(_BRANCH,)).generate_state(2).tolist()
 
     daylight = flash = np.zeros((small.height, small.width, small.sensor.channels), np.float32)
-    if sky is not None:
+    if sky is not None or response.lamps is not None:
         daylight = denoised(trace(kernel_scene, rays, response, None, sky, long, first))
     if small.flash is not None:
-        flash = denoised(trace(kernel_scene, rays, response, small.flash, None, by_flash, second))
+        flash = denoised(trace(kernel_scene, rays, flash_alone, small.flash, None, by_flash, second))
     return daylight, flash
 
 

@@ -119,8 +119,8 @@ def response_integrals(camera: Camera) -> Array:
 def white_light(camera: Camera, scene: Scene, panel: WhiteReference) -> Array:
     """`(h, c)` light of the white reference in each row of an image, electrons s-1 m-2 sr-1.
 
-    Its radiance is reflectance over pi times its irradiance by sky, sun and flash, without any shadow. Rows
-    of a rolling shutter can see less of the flash.
+    Its radiance is reflectance over pi times its irradiance by sky, sun, lamps and flash, without any shadow.
+    Rows of a rolling shutter can see less of the flash.
     """
     response = spectral_response(camera, scene)
     weights = response.electrons_per_joule * response.trapezoid_nm[:, None]
@@ -142,6 +142,8 @@ def _irradiance(
         if scene.sky.sun is not None:
             sun = scene.sky.sun
             daylight += max(float(sun.direction @ normal), 0.0) * sun.irradiance.at(grid)
+    if response.lamps is not None:
+        daylight += response.lamps.irradiance(panel.centre(camera.pose), normal)
     flash = np.zeros(grid.size)
     if camera.flash is not None:
         flash += response.flash * flash_on_panel(camera.flash, panel, camera.pose)

@@ -155,6 +155,11 @@ class Renderer:
             described |= notes
         metadata: dict[str, Any] = {"camera": camera.to_metadata(), "seed": seed, "variant": variant_name()}
         metadata |= {"versions": _library_versions(), **described}
+        if request.camera.lamps or request.scene.lamps:
+            placed = (("camera", request.camera.lamps), ("world", request.scene.lamps))
+            metadata["lamps"] = [
+                {"fixed": fixed, **lamp.to_metadata()} for fixed, lamps in placed for lamp in lamps
+            ]
         metadata.setdefault("instances", {})
         return Frame({name: images[name] for name in requested}, metadata)
 

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera import Lamp
 from pepperscene.errors import ArgumentError
 from pepperscene.geometry import JointRotation, Mesh
 from pepperscene.grammar import Organ, OrganForm, OrganKind, Plant
@@ -221,12 +222,14 @@ class Scene:
         surfaces: one for each of `mesh.surfaces`, in that order; empty if only labels are rendered.
         sky: daylight, or None for a night scene.
         skeleton: plants whose organs are instances of the mesh; None without output "harvest".
+        lamps: in world axes.
     """
 
     mesh: Mesh
     surfaces: tuple[Surface, ...] = ()
     sky: Sky | None = None
     skeleton: Skeleton | None = None
+    lamps: tuple[Lamp, ...] = ()
 
     def __post_init__(self) -> None:
         names = tuple(surface.name for surface in self.surfaces)
@@ -239,6 +242,7 @@ def assemble_scene(
     surfaces: Mapping[str, Surface] | None = None,
     sky: Sky | None = None,
     skeleton: Skeleton | None = None,
+    lamps: Sequence[Lamp] = (),
 ) -> Scene:
     """Assemble a scene from a mesh and surfaces by name; surfaces that the mesh does not use are left out.
 
@@ -248,6 +252,7 @@ def assemble_scene(
         sky: daylight, or None.
         skeleton: of the plants in the mesh; the output "harvest" needs it. That of another scene belongs to
             the mesh that it was assembled with.
+        lamps: in world axes.
 
     Raises:
         ValueError: a surface of the mesh is missing.
@@ -257,11 +262,11 @@ def assemble_scene(
         fingerprints = instance_fingerprints(mesh, min(end, len(mesh.instances)))
         skeleton = replace(skeleton, fingerprints=fingerprints)
     if surfaces is None:
-        return Scene(mesh, (), sky, skeleton)
+        return Scene(mesh, (), sky, skeleton, tuple(lamps))
     missing = [name for name in mesh.surfaces if name not in surfaces]
     if missing:
         raise ValueError(f"missing surfaces: {', '.join(missing)}")
-    return Scene(mesh, tuple(surfaces[name] for name in mesh.surfaces), sky, skeleton)
+    return Scene(mesh, tuple(surfaces[name] for name in mesh.surfaces), sky, skeleton, tuple(lamps))
 
 
 def organ_poses(organs: Sequence[Organ]) -> NDArray[np.float64]:

@@ -113,7 +113,7 @@ def with_surfaces(view: OrganView, surfaces: dict[str, Surface]) -> OrganView:
     from pepperscene.scene import assemble_scene
 
     used = {name: surfaces[name] for name in view.scene.mesh.surfaces}
-    return replace(view, scene=assemble_scene(view.scene.mesh, used, view.scene.sky))
+    return replace(view, scene=assemble_scene(view.scene.mesh, used, view.scene.sky, lamps=view.scene.lamps))
 
 
 def _check_kind(kind: str) -> None:

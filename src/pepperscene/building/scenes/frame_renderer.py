@@ -82,7 +82,8 @@ class FrameRenderer:
         setups: what each frame depends on.
         views: the cameras of the frames.
         culled: whether triangles that affect no frame are left out of scenes; False is for comparison. Scenes
-            are never culled if views depend on the plants, or on a stand, which cameras see from all sides.
+            are never culled if views depend on the plants, if there are lamps, or a stand, which cameras see from
+            all sides.
 
     Args:
         recipe: a recipe, its resolved form, a shipped name or a path.
@@ -108,7 +109,8 @@ class FrameRenderer:
         self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
         self.setups = FrameSetups(self.resolved)
         self.views = CameraViews(self.setups)
-        self.culled = culled and not self.views.depends_on_scene and self.recipe.stand is None
+        is_open = self.views.depends_on_scene or self.recipe.stand is not None or self.recipe.lamps
+        self.culled = culled and not is_open
         self._renderer_factory = renderer or mitsuba_renderer
         self._near_plants = NearPlants(self.views, self._renderer_factory)
         self._on_stage = on_stage or _ignore
@@ -273,7 +275,8 @@ class FrameRenderer:
             "contacts": asdict(near.built.contacts),
             "geometry": {"triangles": len(mesh.faces), "of": len(near.built.mesh.faces)},
         }
-        scene = assemble_scene(mesh, surfaces, sky, near.built.skeleton)
+        lamps = self.resolved.lamps if surfaces is not None else ()
+        scene = assemble_scene(mesh, surfaces, sky, near.built.skeleton, lamps)
         if near.coarse is not None and self.views.depends_on_scene:
             self.views.continue_in(scene, near.views, near.coarse)
         return AssembledScene(scene, statistics)

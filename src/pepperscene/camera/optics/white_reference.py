@@ -47,6 +47,11 @@ class WhiteReference:
         """JSON-ready description."""
         return {"reflectance": self.reflectance, "distance_m": self.distance_m, "facing": self.facing}
 
+    def centre(self, pose: ArrayLike) -> Array:
+        """`(3,)` in world axes, for a camera at a pose `(4, 4)`."""
+        matrix = np.asarray(pose, float)
+        return np.asarray(matrix[:3, 3] + self.distance_m * matrix[:3, 2])
+
     def normal(self, pose: ArrayLike) -> Array:
         """`(3,)` unit normal in world axes, for a camera at a pose `(4, 4)`."""
         return -np.asarray(pose, float)[:3, 2] if self.facing == "camera" else np.array(_UP)

@@ -14,6 +14,7 @@ from pydantic import Field
 
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.image.auto_exposure import ExposureControl
+from pepperscene.camera.lamps.lamp import lamps_seen_from
 from pepperscene.camera.optics.projector import Projector
 from pepperscene.camera.optics.white_reference import WhiteReference
 from pepperscene.units import MILLIMETRES, Table, within
@@ -116,6 +117,10 @@ class DepthCamera:
         pose = self.left.pose.copy()
         pose[:3, 3] += offset
         camera = self.left.at_pose(pose)
+        if camera.lamps:
+            shift = np.eye(4)
+            shift[:3, 3] = offset_m
+            camera = dataclasses.replace(camera, lamps=lamps_seen_from(camera.lamps, shift))
         if camera.motion is None:
             return camera
         return dataclasses.replace(camera, motion=camera.motion.at_offset(offset))

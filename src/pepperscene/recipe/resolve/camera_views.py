@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera.lamps.lamp import lamps_seen_from
 from pepperscene.errors import InputError
 from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, STEREO_OUTPUTS
 from pepperscene.recipe.plan import FrameSpec, Stream, random_generator
@@ -344,6 +345,9 @@ def _stereo_partner(camera: Camera, baseline_m: float) -> Camera:
     partner = camera.at_pose(pose)
     if camera.motion is not None:
         partner = replace(partner, motion=camera.motion.at_offset(pose[:3, 3] - camera.pose[:3, 3]))
+    if camera.lamps:
+        shift = np.linalg.inv(camera.pose) @ pose
+        partner = replace(partner, lamps=lamps_seen_from(camera.lamps, shift))
     if camera.flash is None:
         return partner
     right, down, forward = camera.flash.offset_m
@@ -360,6 +364,7 @@ def _view_of_rig(view: View, extrinsics: NDArray[np.float64]) -> View:
 
 def _with_flash_of_rig(camera: Camera, extrinsics: NDArray[np.float64]) -> Camera:
     """A camera on a rig; all cameras use one flash, which stays at the main camera."""
+    camera = replace(camera, lamps=lamps_seen_from(camera.lamps, extrinsics)) if camera.lamps else camera
     if camera.flash is None:
         return camera
     turn = extrinsics[:3, :3].T

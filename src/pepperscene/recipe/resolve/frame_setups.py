@@ -13,8 +13,9 @@ from pepperscene.errors import InputError
 from pepperscene.recipe.camera_tables import FIRST_CAMERA
 from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolve.load_camera import NamedFiles, load_camera, load_depth_camera
+from pepperscene.recipe.resolve.load_camera import load_camera, load_depth_camera
 from pepperscene.recipe.resolve.merge import merge_layer
+from pepperscene.recipe.resolve.named_files import NamedFiles
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe, load_recipe_cover, load_recipe_cultivar
 from pepperscene.recipe.tables import PLANT_TABLES
 from pepperscene.recipe.variation.extract import set_value

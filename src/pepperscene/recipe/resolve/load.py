@@ -15,15 +15,15 @@ from typing import Any, Final
 from pepperscene.document import extends_chain
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.recipe.recipe import FILE_FOLDERS, Recipe, curve_keys
-from pepperscene.recipe.resolve.load_camera import NamedFiles
 from pepperscene.recipe.resolve.merge import merge_layer, merge_tables
+from pepperscene.recipe.resolve.named_files import NamedFiles
 from pepperscene.recipe.resolve.parse import check_outcomes, parse_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe, load_files
 from pepperscene.recipe.variation.extract import table_model
 from pepperscene.shipped import find_file
 from pepperscene.units import table_fields
 
-_PATH_ENDINGS: Final = (".toml", ".yaml", ".yml", ".txt", ".csv", ".json", ".py")
+_PATH_ENDINGS: Final = (".toml", ".yaml", ".yml", ".txt", ".csv", ".json", ".py", ".ies", ".ldt")
 """Text with one of these endings is a path. Other text is one only if it has a folder; else it is a name."""
 
 _EXPECT: Final = "expect"
@@ -219,6 +219,8 @@ def _resolve_paths(table: dict[str, Any], folder: Path) -> None:
         holders = [(inner, last), (twins, ".".join((*outer, last)))]
         if outer == ["camera"] and isinstance(rig, list):
             holders += [(camera, last) for camera in rig]
+        if outer == ["lamps"] and isinstance(inner, list):
+            holders += [(lamp, last) for lamp in inner]
         for holder, key in holders:
             if isinstance(holder, dict) and key in holder:
                 holder[key] = _absolute_paths(holder[key], folder)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,8 @@ from numpy.typing import NDArray
 from pepperscene.errors import InputError
 from pepperscene.recipe.camera_tables import AUTO, GENERIC_SENSOR, INTRINSICS, SIZE_KEYS, CameraTable
 from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load_lamps import load_lamps
+from pepperscene.recipe.resolve.named_files import NamedFiles
 from pepperscene.recipe.tables import WhiteReferenceTable
 from pepperscene.recipe.views_tables import ArcViews, PathViews, PoseViews
 from pepperscene.units import NONE, file_values
@@ -36,51 +37,6 @@ far from where single precision ends."""
 _F_NUMBER: Final = 2.0  # chosen: camera modules of webcams, phones and depth cameras have 1.8 to 2.4
 _TRANSMITTANCE: Final = 0.9
 """Chosen: 5 to 7 glasses or plastic lenses, coated, transmit 0.87 to 0.95."""
-
-_MAX_KEPT: Final = 64
-"""Chosen: more files than most recipes name. A cultivar takes 0.3 MB, and a recipe can vary its values in
-every frame."""
-
-Content = TypeVar("Content")
-
-
-class NamedFiles:
-    """Loads files that recipes name, and keeps the latest of them."""
-
-    def __init__(self) -> None:
-        self._contents: dict[tuple[Hashable, str], Any] = {}
-
-    def load(
-        self,
-        load: Callable[[str], Content],
-        where: str | Path,
-        key: str,
-        name: str,
-        content: Hashable | None = None,
-    ) -> Content:
-        """Load a file; if there is no such file, the error names the recipe's key.
-
-        Args:
-            load: reads a file by its name or path; the same function for all files of a kind.
-            where: name of the recipe in errors.
-            key: of the recipe.
-            name: its value.
-            content: identifies what is loaded from files of this kind; by default it is the function.
-        """
-        index = (content or load, name)
-        if index in self._contents:
-            kept: Content = self._contents[index]
-            return kept
-        try:
-            loaded = load(name)
-        except InputError as error:
-            if error.key or error.where != name:
-                raise
-            raise InputError(where, error.problem, key=key, value=name) from None
-        if len(self._contents) >= _MAX_KEPT:
-            del self._contents[next(iter(self._contents))]
-        self._contents[index] = loaded
-        return loaded
 
 
 def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Camera:
@@ -112,6 +68,7 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
             sensor=sensor,
             exposure_s=_TYPICAL_EXPOSURE_S if table.exposure_s == AUTO else table.exposure_s,
             flash=flash,
+            lamps=load_lamps(recipe, "camera", where, files),
             developing=developing,
             focus_m=table.focus_m,
             labels_per_row=table.labels_per_row is not False,
@@ -293,6 +250,7 @@ def load_depth_camera(
     if table is None:
         return None
     from pepperscene.camera import DepthCamera, Developing, load_projector
+    from pepperscene.camera.lamps.lamp import lamps_seen_from
 
     where, files = where or recipe.name, files or NamedFiles()
     # The imagers are described as any camera is; they have no flash.
@@ -302,6 +260,8 @@ def load_depth_camera(
     except InputError as error:
         key = f"depth_{error.key}" if error.key.startswith("camera.") else error.key
         raise InputError(error.where, error.problem, key=key, value=error.value) from None
+    if left.lamps:
+        left = replace(left, lamps=lamps_seen_from(left.lamps, table.extrinsics))
     if left.sensor.line_scan or left.sensor.pattern == "bands":
         problem = "must take photographs: it is a line scanner or has bands"
         raise InputError(where, problem, key="depth_camera.sensor", value=table.sensor)

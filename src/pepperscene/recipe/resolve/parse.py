@@ -17,8 +17,9 @@ from pepperscene.errors import InputError
 from pepperscene.recipe.camera_tables import FIRST_CAMERA
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.frame_setups import as_written, changed_recipe, recipe_tables, twin_changes
-from pepperscene.recipe.resolve.load_camera import NamedFiles, load_camera, load_depth_camera
+from pepperscene.recipe.resolve.load_camera import load_camera, load_depth_camera
 from pepperscene.recipe.resolve.merge import has_field
+from pepperscene.recipe.resolve.named_files import NamedFiles
 from pepperscene.recipe.resolve.resolved import (
     check_growth,
     check_gutters,

@@ -13,19 +13,16 @@ import numpy as np
 
 from pepperscene.errors import NEEDS_PERMISSION, InputError
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolve.load_camera import (
-    NamedFiles,
-    load_camera,
-    load_depth_camera,
-    surface_wavelengths,
-)
+from pepperscene.recipe.resolve.load_camera import load_camera, load_depth_camera, surface_wavelengths
+from pepperscene.recipe.resolve.load_lamps import load_lamps
+from pepperscene.recipe.resolve.named_files import NamedFiles
 from pepperscene.recipe.tables import GrowthTable
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews
 from pepperscene.scene import Greenhouse
 from pepperscene.units import NONE, file_values
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, DepthCamera
+    from pepperscene.camera import Camera, DepthCamera, Lamp
     from pepperscene.cultivar import Cultivar
     from pepperscene.scene import Cover
 
@@ -40,6 +37,7 @@ class ResolvedRecipe:
         camera: with the recipe's settings, without a pose.
         cover: between the sky and the crop, or None.
         depth_camera: with the recipe's settings, without a pose; None if the recipe has none.
+        lamps: that stand in the scene, in world axes.
         allow_code: whether the user has asked for the recipe's code to run. It is part of no file.
     """
 
@@ -49,6 +47,7 @@ class ResolvedRecipe:
     cover: Cover | None
     depth_camera: DepthCamera | None = None
     allow_code: bool = False
+    lamps: tuple[Lamp, ...] = ()
 
     @cached_property
     def identity(self) -> Mapping[str, Any]:
@@ -104,7 +103,8 @@ def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None 
     check_stand(recipe, where)
     check_views(recipe, cultivar, where)
     depth_camera = load_depth_camera(recipe, where, files)
-    return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera)
+    lamps = load_lamps(recipe, "world", where, files)
+    return ResolvedRecipe(recipe, cultivar, camera, cover, depth_camera, lamps=lamps)
 
 
 def check_views(recipe: Recipe, cultivar: Cultivar, where: str | Path) -> None:

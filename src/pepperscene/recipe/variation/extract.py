@@ -20,7 +20,7 @@ from pepperscene.units import is_table, table_fields
 OVERRIDE: Final = "override"
 """Table of changed values of the cultivar file, in which only tables with the key `per` are varied values."""
 
-FIXED: Final = {"name", "seed", "plan", "expect", "twins", "rig"}
+FIXED: Final = {"name", "seed", "plan", "expect", "twins", "rig", "lamps"}
 """Top-level keys whose values are the same for all frames."""
 
 

@@ -18,6 +18,7 @@ from pepperscene.render.arrays import (
     device_float,
     device_uint,
 )
+from pepperscene.render.kernel.lamps import FrameLamps, frame_lamps
 from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
@@ -250,6 +251,7 @@ class SpectralResponse:
         flash: `(n,)` W sr-1 nm-1 on the axis of the flash, averaged over the exposure; zeros without a flash.
         density: `(n,)` wavelength sampling density: response times expected light.
         by_band: whether the channels are bands, which are computed a few at a time.
+        lamps: of the scene and the camera; None for none.
     """
 
     grid_nm: NDArray[np.float64]
@@ -257,6 +259,7 @@ class SpectralResponse:
     flash: NDArray[np.float64]
     density: NDArray[np.float64]
     by_band: bool = False
+    lamps: FrameLamps | None = None
 
     @property
     def trapezoid_nm(self) -> NDArray[np.float64]:
@@ -274,14 +277,17 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
     """
     # Limit the grid to wavelengths with both response and light.
     grid = detected_wavelengths(camera.sensor)
-    emitted = np.flatnonzero(np.any([_flash_intensity(camera, grid), *_daylight(scene, grid)], axis=0))
+    lights = [_flash_intensity(camera, grid), *_daylight(scene, grid), *_lamp_light(camera, scene, grid)]
+    emitted = np.flatnonzero(np.any(lights, axis=0))
     if emitted.size:
         grid = grid[max(emitted[0] - 1, 0) : emitted[-1] + 2]
     electrons = camera.sensor.electrons_per_joule(grid).T
 
     # Reject lights that overflow, and ignore a flash that cannot matter.
     flash, daylight = _flash_intensity(camera, grid), _daylight(scene, grid)
-    strengths = [float((light @ electrons).max()) for light in (flash, *daylight)]
+    lamps = frame_lamps(camera, scene, grid)
+    lamp_light = [] if lamps is None else list(lamps.emitted)
+    strengths = [float((light @ electrons).max()) for light in (flash, *daylight, *lamp_light)]
     if scene.sky is not None:
         # The spectra of the sky come first, each with its map of weights.
         for k, weights in enumerate(scene.sky.weights, start=1):
@@ -295,13 +301,16 @@ def spectral_response(camera: Camera, scene: Scene) -> SpectralResponse:
         flash = np.zeros(grid.size)
 
     # Half of the density follows the lights, all equally, and half the response: no light is left out.
-    lights = [light / light.mean() for light in (flash, *daylight) if light.any()]
+    lights = [light / light.mean() for light in (flash, *daylight, *lamp_light) if light.any()]
     # A colour that detects nothing behind a filter adds nothing.
     peaks = electrons.max(axis=0)
     response = (electrons / np.where(peaks > 0, peaks, 1.0)).sum(axis=1)
     density = response * (np.mean(lights, axis=0) if lights else np.ones(grid.size))
     density = density / density.sum() + response / response.sum() + 1e-3 / grid.size
-    return SpectralResponse(grid, electrons, flash, density, camera.sensor.pattern == "bands")
+    by_band = camera.sensor.pattern == "bands"
+    if not any(light.any() for light in lamp_light):
+        lamps = None
+    return SpectralResponse(grid, electrons, flash, density, by_band, lamps)
 
 
 def detected_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
@@ -316,6 +325,12 @@ def _flash_intensity(camera: Camera, grid_nm: NDArray[np.float64]) -> NDArray[np
     if camera.flash is None:
         return np.zeros(grid_nm.size)
     return camera.flash.radiant_intensity(grid_nm) * camera.flash_duty
+
+
+def _lamp_light(camera: Camera, scene: Scene, grid_nm: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """All light of each spectrum of the lamps."""
+    lamps = frame_lamps(camera, scene, grid_nm)
+    return [] if lamps is None else list(lamps.emitted)
 
 
 def _daylight(scene: Scene, grid_nm: NDArray[np.float64]) -> list[NDArray[np.float64]]:

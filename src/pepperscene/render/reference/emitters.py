@@ -1,4 +1,4 @@
-"""The flash and the daylight as Mitsuba emitters, so that Mitsuba's own integrators can light our scenes.
+"""Flash, lamps and daylight as Mitsuba emitters, so that Mitsuba's own integrators can light our scenes.
 
 They are a reference: our integrator never reads them, and shares no code with them, only the descriptions of
 the lights: a matrix of discs with an angular profile (`pepperscene.camera.Flash`), and maps of radiance with
@@ -14,12 +14,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.camera import Flash
+from pepperscene.camera import Flash, Lamp
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Sky
 
 _PROFILE_STEPS: Final = 1800  # chosen: 0.05 degrees, so that profiles given at whole degrees are exact
+_TURN_STEPS: Final = 720  # chosen: half a degree about a lamp's axis
 _SHORTEST_CHORD: Final = 1e-4  # chosen: of the sun's disc; single precision resolves directions to 1e-7
 
 
@@ -129,6 +130,70 @@ def flash_emitter() -> Any:
             return mi.BoundingBox3f()
 
     return FlashEmitter
+
+
+@functools.cache
+def lamp_emitter() -> Any:
+    """Define the emitter class of a lamp, once the variant is set."""
+    mi, dr = mitsuba_modules()
+
+    class LampEmitter(mi.Emitter):  # type: ignore[name-defined]
+        """Points at the middles of equal parts of a lamp's shape; construct with `of`, then `place`."""
+
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.m_flags = mi.EmitterFlags.DeltaPosition
+
+        @classmethod
+        def of(cls, lamp: Lamp, emitted: SpectralTable, unit_m: float) -> Any:
+            """Make a lamp that emits so much, W nm-1, in coordinates of this unit."""
+            self = cls(mi.Properties())
+            # The beam in equal steps of both angles, over squared local units.
+            turn, angle = np.meshgrid(
+                2.0 * math.pi * (np.arange(_TURN_STEPS) + 0.5) / _TURN_STEPS,
+                math.pi * (np.arange(_PROFILE_STEPS) + 0.5) / _PROFILE_STEPS,
+            )
+            x, y = np.cos(turn) * np.sin(angle), np.sin(turn) * np.sin(angle)
+            beam = lamp.beam.at(np.stack([x, y, np.cos(angle)], axis=-1)) / unit_m**2
+            texels = mi.TensorXf(np.asarray(beam, np.float32)[..., None])
+            self.beam = mi.Texture2f(texels, wrap_mode=dr.WrapMode.Repeat)
+            self.emitted = emitted
+            return self
+
+        def place(self, points: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+            """Place the lamp: `(k, 3)` points in local coordinates, and its axes in the world's."""
+            self.points = mi.Float(np.asarray(points, np.float32).ravel())
+            self.count = mi.UInt32(len(points))
+            self.to_lamp = mi.Matrix3f(np.asarray(rotation.T, np.float32))
+            dr.make_opaque(self.count)
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            chosen = dr.minimum(mi.UInt32(sample.x * mi.Float(self.count)), self.count - 1)
+            point = dr.gather(mi.Point3f, self.points, chosen, active)
+            ds = dr.zeros(mi.DirectionSample3f)
+            towards = point - it.p
+            square = dr.squared_norm(towards)
+            ds.p, ds.dist = point, dr.sqrt(square)
+            ds.d = towards / ds.dist
+            ds.n, ds.time, ds.pdf, ds.delta = mi.Normal3f(-ds.d), it.time, 1.0, True
+            ds.emitter = mi.EmitterPtr(self)
+            local = self.to_lamp @ -ds.d
+            turn = dr.atan2(local.y, local.x) * dr.inv_two_pi
+            uv = mi.Point2f(turn - dr.floor(turn), dr.safe_acos(local.z) * dr.inv_pi)
+            return ds, (
+                self.emitted.at(it.wavelengths, active) * self.beam.eval(uv, active)[0] / square
+            ) & active
+
+        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            return mi.Float(0.0)
+
+        def eval(self, si: Any, active: Any = True) -> Any:
+            return mi.Spectrum(0.0)
+
+        def bbox(self) -> Any:
+            return mi.BoundingBox3f()
+
+    return LampEmitter
 
 
 @functools.cache

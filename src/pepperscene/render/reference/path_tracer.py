@@ -12,6 +12,7 @@ those of our integrator, not how it samples time and moves rays and the flash.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -23,9 +24,15 @@ from pepperscene.camera.sensor.rows import RowWindows
 from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.render.arrays import LocalCoordinates, device_uint, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, camera_rays, spectral_response
+from pepperscene.render.kernel.lamps import FrameLamps
 from pepperscene.render.kernel.scene import mitsuba_mesh, organ_table
 from pepperscene.render.quality import Quality
-from pepperscene.render.reference.emitters import SpectralTable, daylight_emitter, flash_emitter
+from pepperscene.render.reference.emitters import (
+    SpectralTable,
+    daylight_emitter,
+    flash_emitter,
+    lamp_emitter,
+)
 from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.scattering import select_point, shading_normals
 from pepperscene.render.variant import mitsuba_modules
@@ -128,6 +135,7 @@ class PathScene:
     bsdf: Any  # of all surfaces
     flash: Any  # the camera's emitter, or None
     coordinates: LocalCoordinates  # of the scene
+    lamps: tuple[Any, ...] = ()  # emitters, in the order of `FrameLamps`
 
 
 def path_scene(scene: Scene, camera: Camera) -> PathScene:
@@ -149,12 +157,30 @@ def path_scene(scene: Scene, camera: Camera) -> PathScene:
         intensity = SpectralTable(grid, response.flash)
         parts["flash"] = flash_emitter().of(camera.flash, camera_rays(camera, coordinates), intensity)
     if scene.sky is not None:
-        # With a flash, a sky without a sun gets no light samples; scattered rays find it.
-        weight = 1.0 if scene.sky.sun is not None or camera.flash is None else 0.0
+        # With a flash or lamps, a sky without a sun gets no light samples; scattered rays find it.
+        has_lamps = camera.flash is not None or response.lamps is not None
+        weight = 1.0 if scene.sky.sun is not None or not has_lamps else 0.0
         diagonal = float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
         reach = 2.0 * diagonal / coordinates.unit_m + 1.0
         parts["daylight"] = daylight_emitter().of(scene.sky, grid, weight, reach)
-    return PathScene(mi.load_dict(parts), bsdf, parts.get("flash"), coordinates)
+    emitters: list[Any] = []
+    if response.lamps is not None:
+        emitted = zip(response.lamps.flux_W, response.lamps.group, strict=True)
+        for lamp, (flux, group) in zip(response.lamps.lamps, emitted, strict=True):
+            table = SpectralTable(grid, flux * response.lamps.spectra[group])
+            emitters.append(lamp_emitter().of(lamp, table, coordinates.unit_m))
+        _place_lamps(emitters, response.lamps, coordinates)
+        parts |= {f"lamp{number}": emitter for number, emitter in enumerate(emitters)}
+    return PathScene(mi.load_dict(parts), bsdf, parts.get("flash"), coordinates, tuple(emitters))
+
+
+def _place_lamps(emitters: Sequence[Any], lamps: FrameLamps, coordinates: LocalCoordinates) -> None:
+    """Place lamps in the scene, and those of the camera at its pose."""
+    turn, centre = lamps.pose[:3, :3], lamps.pose[:3, 3]
+    for emitter, lamp, moves in zip(emitters, lamps.lamps, lamps.at_camera, strict=True):
+        placed = lamp.moved(turn, centre) if moves else lamp
+        points = placed.position_m + placed.shape.spread_points_m() @ placed.rotation.T
+        emitter.place(coordinates.from_world(points), placed.rotation)
 
 
 def path_traced(
@@ -194,6 +220,8 @@ def path_traced(
     if camera.flash is not None:
         kernel_scene.flash.move_to(camera.flash, rays, SpectralTable(response.grid_nm, response.flash))
 
+    if response.lamps is not None:
+        _place_lamps(kernel_scene.lamps, response.lamps, kernel_scene.coordinates)
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2})
     count = samples_taken(sampler, spp)
     first_row, end_row = rows or (0, rays.height)
@@ -274,12 +302,12 @@ def exposed_paths(
     """
     signal = np.zeros((camera.height, camera.width, camera.sensor.channels))
     flash, samples = camera.flash, 0.0
-    if scene.sky is not None or flash is None:
+    if scene.sky is not None or scene.lamps or camera.lamps or flash is None:
         daylight = replace(camera, flash=None)
         exposures = camera.shutter.exposures()
         samples += _add_instants(signal, scene, daylight, exposures, camera.exposure_s, quality, seed)
     if flash is not None:
-        dark = replace(scene, sky=None)
+        dark, camera = replace(scene, sky=None, lamps=()), replace(camera, lamps=())
         lit, longest = camera.shutter.flash_windows(flash.pulse_s), min(flash.pulse_s, camera.exposure_s)
         samples += _add_instants(signal, dark, camera, lit, longest, quality, seed)
     return signal.astype(np.float32), samples

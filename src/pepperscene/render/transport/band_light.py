@@ -27,6 +27,7 @@ from pepperscene.render.surface.scattering import SurfacePlace, by_lobe
 from pepperscene.render.transport.accumulate import SampleAccumulator, SampleSums, sum_samples
 from pepperscene.render.transport.band_paths import (
     UNIT,
+    UNIT_LAMPS,
     FirstHit,
     Front,
     Paths,
@@ -84,6 +85,7 @@ class BandLight:
             sky,
             has_flash=self.tables.flash is not None,
             direct_sun=self.tables.sun_optics is not None,
+            direct_lamps=bool(self.tables.lamp_optics),
         )
         self._paths, self.seed = PathTracer(self.tables, self.bands, lengths), seed
         self._lanes = max(min(_LANES, _VALUES // len(self.bands.batches) // BATCH), 1)
@@ -113,7 +115,7 @@ class BandLight:
         They come in batches, without those of a light that does not shine.
         """
         count, number = self.bands.count, len(self.bands.batches)
-        lights = [self.tables.flash is not None, self.tables.sky is not None]
+        lights = [self.tables.flash is not None, self.tables.sky is not None or bool(self.tables.lamp_optics)]
         direct: list[Any] = []
         size = BATCH * sum(lights)
         for light, shines in enumerate(lights):
@@ -169,6 +171,10 @@ class BandLight:
             place=finite(surface.body, active),
             flash=flash,
             sun=sun,
+            lamps=[
+                samples.lamp_light(si, lobes, active, UNIT_LAMPS, group)
+                for group in range(len(self.bands.lamp_optics))
+            ],
             sky=samples.sky_weights(samples.ray.d, ~active, with_sun=True),
             guides=[*guides, dr.select(active, mi.Float(1.0), 0.0)],
         )
@@ -186,11 +192,16 @@ class BandLight:
                 light = by_lobe(hit.flash, *seen) * gather_batch(bands.colours.flash, columns)
                 values += [*light]
                 total += light
-            if hit.sky:
+            if hit.sky or hit.lamps:
                 light = sky_light(hit.sky, bands.colours, columns)
                 if hit.sun is not None and bands.sun_optics is not None:
                     seen = bands.sun_optics.reflectances(hit.place, columns, True)
                     light += by_lobe(hit.sun, *seen) * gather_batch(bands.colours.sun, columns)
+                for lobes, optics, table in zip(
+                    hit.lamps, bands.lamp_optics, bands.colours.lamps, strict=False
+                ):
+                    seen = optics.reflectances(hit.place, columns, True)
+                    light += by_lobe(lobes, *seen) * gather_batch(table, columns)
                 values += [*light]
                 total += light
             squares += dr.squared_norm(total * gather_batch(bands.per_white, columns))

@@ -29,6 +29,7 @@ class FirstHit:
     Attributes:
         place: of the body.
         flash, sun: light by lobe; None if there is none.
+        lamps: light by lobe of each of their spectra.
         sky: weights of the sky's spectra, and of the sun's, where rays leave the scene.
         guides: albedo in the broad channels, normal, and whether something is hit.
     """
@@ -38,6 +39,7 @@ class FirstHit:
     sun: Any | None
     sky: list[Any]
     guides: list[Any]
+    lamps: list[Any] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -48,6 +50,7 @@ class Vertex:
         sky: weights of the sky's spectra where the ray to here left the scene; empty for none.
         place: of the body; None at the end of paths.
         flash, sun: light by lobe; None if there is none.
+        lamps: light by lobe of each of their spectra.
         scatter: factor of the path by lobe; None at the end of paths.
     """
 
@@ -56,6 +59,7 @@ class Vertex:
     flash: Any | None = None
     sun: Any | None = None
     scatter: Any | None = None
+    lamps: list[Any] = field(default_factory=list)
 
 
 def follow(
@@ -77,7 +81,8 @@ def follow(
         if vertex.place is None:
             continue
         seen = bands.spectra.reflectances(vertex.place, columns, True)
-        for lobes, table in ((vertex.flash, emission.flash), (vertex.sun, emission.sun)):
+        lamps = zip(vertex.lamps, emission.lamps, strict=False)
+        for lobes, table in ((vertex.flash, emission.flash), (vertex.sun, emission.sun), *lamps):
             if lobes is not None:
                 light = light + throughput * by_lobe(lobes, *seen) * gather_batch(table, entries)
         if vertex.scatter is not None:
@@ -124,6 +129,8 @@ def arrays(record: Any) -> list[Any]:
 
 UNIT: Final = LightSpectra(flash=1.0, sun=1.0, sky=())
 """Lights by lobe, whose spectra come with the bands."""
+UNIT_LAMPS: Final = LightSpectra(flash=None, sun=None, sky=(), lamps=(1.0,))
+"""As `UNIT`, for the lamps of one spectrum at a time."""
 
 
 @dataclass(eq=False)
@@ -188,6 +195,12 @@ class PathTracer:
         if self.tables.sun_optics is None and self.bands.emission.sun is not None:
             lobes = replace(front.point, by_lobe=True)
             vertex.sun = samples.sun_light(front.si, lobes, front.active, UNIT)
+        if self.tables.lamps is not None and not self.tables.lamp_optics:
+            lobes = replace(front.point, by_lobe=True)
+            groups = range(len(self.bands.emission.lamps))
+            vertex.lamps = [
+                samples.lamp_light(front.si, lobes, front.active, UNIT_LAMPS, group) for group in groups
+            ]
         paths = Paths(slot, [vertex])
         bounces, most = self.lengths
         for bounce in range(bounces + 1):
@@ -235,17 +248,17 @@ class PathTracer:
         point = self.bands.carriers.seen(surface, range(BROAD), active)
         vertex = Vertex(sky, finite(surface.body, active))
         vertex.flash, vertex.sun = self._flash_and_sun(samples, si, point, active)
+        if self.tables.lamps is not None:
+            vertex.lamps = samples.one_lamp_light(si, replace(point, by_lobe=True), active)
         return Front(si, point, active, throughput), vertex
 
     def _flash_and_sun(self, samples: Samples, si: Any, point: SurfacePoint, active: Any) -> tuple[Any, Any]:
-        """Light by lobe at later hits, as `Samples.flash_and_sun_light`, of the flash and of the sun."""
+        """Light by lobe at later hits, as `Samples.later_light`, of the flash and of the sun."""
         _, dr = mitsuba_modules()
         lobes, colours = replace(point, by_lobe=True), self.tables.colours
         has_flash, has_sun = self.tables.flash is not None, self.bands.emission.sun is not None
         if not (has_flash and has_sun):
-            light = samples.flash_and_sun_light(
-                si, lobes, active, replace(UNIT, sun=1.0 if has_sun else None)
-            )
+            light = samples.later_light(si, lobes, active, replace(UNIT, sun=1.0 if has_sun else None))
             return light if has_flash else None, light if has_sun else None
         flash, target = samples.unshadowed_flash(si, lobes, active, UNIT, samples.next_2d())
         sun, direction = samples.unshadowed_sun(si, lobes, active, UNIT)
@@ -298,6 +311,7 @@ class PathTracer:
             vertex.flash, vertex.sun = (
                 None if light is None else light & goes_on for light in (vertex.flash, vertex.sun)
             )
+            vertex.lamps = [light & goes_on for light in vertex.lamps]
             step = self._scatter(samples, front, vertex, LONG_ROULETTE)
             paths.ray, paths.active, paths.throughput = step
             dr.eval(arrays(vertex), step)

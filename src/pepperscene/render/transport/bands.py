@@ -41,11 +41,13 @@ class LightTables:
         flash: radiant intensity on the axis; None without a flash.
         sun: irradiance across its beam; None without a sun.
         sky: radiance of each of the sky's spectra.
+        lamps: of 1 W of each of the lamps' spectra.
     """
 
     flash: Any | None
     sun: Any | None
     sky: tuple[Any, ...]
+    lamps: tuple[Any, ...]
 
     @classmethod
     def of(
@@ -59,7 +61,8 @@ class LightTables:
             return device_array(factors * spectrum[columns])
 
         flash, sun = (None if light is None else table(light) for light in (emission.flash, emission.sun))
-        return cls(flash, sun, tuple(table(spectrum) for spectrum in emission.sky))
+        sky, lamps = (tuple(table(light) for light in lights) for lights in (emission.sky, emission.lamps))
+        return cls(flash, sun, sky, lamps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,7 @@ class Emission:
     flash: Spectra | None
     sun: Spectra | None
     sky: tuple[Spectra, ...]
+    lamps: tuple[Spectra, ...] = ()
 
     @classmethod
     def of(cls, response: SpectralResponse, sky: SkyTables | None, *, has_flash: bool) -> Emission:
@@ -77,11 +81,13 @@ class Emission:
         spectra = () if sky is None else sky.radiance
         sun = None if sky is None or sky.sun_frame is None else np.asarray(sky.sun_irradiance, float)[:size]
         flash = response.flash if has_flash else None
-        return cls(flash, sun, tuple(np.asarray(table, float)[:size] for table in spectra))
+        lamps = () if response.lamps is None else tuple(response.lamps.spectra)
+        return cls(flash, sun, tuple(np.asarray(table, float)[:size] for table in spectra), lamps)
 
     def mean(self) -> Spectra | float:
         """`(n,)` mean of the lights, each divided by its mean; 1 without any."""
-        lights = [light for light in (self.flash, self.sun, *self.sky) if light is not None and light.any()]
+        every = (self.flash, self.sun, *self.sky, *self.lamps)
+        lights = [light for light in every if light is not None and light.any()]
         return np.mean([light / light.mean() for light in lights], axis=0) if lights else 1.0
 
 
@@ -93,7 +99,7 @@ class BandTables:
         count: number of bands.
         carriers: the surfaces in the broad channels.
         spectra: the surfaces at the wavelengths of the response's grid.
-        flash_optics, sun_optics: in the bands, under the flash and the sun; as of `FrameTables`.
+        flash_optics, sun_optics, lamp_optics: in the bands, under each light; as of `FrameTables`.
         colours: the lights by band.
         slots: number of slots of a band, in the kernel.
         columns: `(padded * slots,)` column of the spectra of each slot.
@@ -107,6 +113,7 @@ class BandTables:
     spectra: Optics
     flash_optics: Optics
     sun_optics: Optics | None
+    lamp_optics: tuple[Optics, ...]
     colours: LightTables
     slots: Any
     columns: Any
@@ -138,7 +145,13 @@ def broad_response(response: SpectralResponse) -> SpectralResponse:
 
 
 def band_tables(
-    optics: Optics, response: SpectralResponse, sky: SkyTables | None, *, has_flash: bool, direct_sun: bool
+    optics: Optics,
+    response: SpectralResponse,
+    sky: SkyTables | None,
+    *,
+    has_flash: bool,
+    direct_sun: bool,
+    direct_lamps: bool,
 ) -> BandTables:
     """Transfer the data of the bands to the device.
 
@@ -148,6 +161,7 @@ def band_tables(
         sky: of the frame.
         has_flash: whether its flash counts.
         direct_sun: whether sunlight at first hits is direct light.
+        direct_lamps: whether that of the lamps is.
     """
     weights = response.electrons_per_joule * response.trapezoid_nm[:, None]
     count = weights.shape[1]
@@ -167,6 +181,10 @@ def band_tables(
         spectra=optics,
         flash_optics=optics.by_channel(weights * reference[:, None]),
         sun_optics=sun_optics,
+        lamp_optics=tuple(
+            optics.by_channel(weights * spectrum[:, None])
+            for spectrum in (emission.lamps if direct_lamps else ())
+        ),
         colours=LightTables.of(emission, weights.T),
         slots=device_uint(columns.shape[1]),
         columns=device_array(columns, np.uint32),

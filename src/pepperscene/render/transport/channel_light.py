@@ -117,6 +117,9 @@ def _direct(tables: FrameTables, samples: Samples, active: Any, si: Any, hit: An
     if tables.sun_optics is not None:
         sunlit_point = tables.scene.surface_point(si, hit, active, tables.sun_optics, footprint)
         sky_and_sun += samples.sun_light(si, sunlit_point, active, tables.colours)
+    for group, optics in enumerate(tables.lamp_optics):
+        lit_point = tables.scene.surface_point(si, hit, active, optics, footprint)
+        sky_and_sun += samples.lamp_light(si, lit_point, active, tables.colours, group)
     albedo = dr.select(active, point.albedo(), 0.0)
     # With its relief, whose shading the denoiser would take for noise otherwise.
     relief = si.to_world(point.frame.n)

@@ -17,7 +17,7 @@ from pepperscene.render.variant import mitsuba_modules
 def first_point(
     tables: FrameTables, samples: Samples, active: Any, si: Any, hit: Any
 ) -> tuple[SampleWavelengths, Any, Any, Any]:
-    """Wavelengths of the samples, first hits, their optical states, and sunlight that is indirect light."""
+    """Wavelengths of the samples, first hits, their optical states, and indirect light of sun and lamps."""
     mi, _ = mitsuba_modules()
     wavelengths = SampleWavelengths(tables, samples.next_1d())
     si = mi.SurfaceInteraction3f(si)
@@ -26,6 +26,8 @@ def first_point(
     light = mi.Spectrum(0.0)
     if tables.sun_optics is None:
         light += samples.sun_light(si, point, active, wavelengths.spectra)
+    if tables.lamps is not None and not tables.lamp_optics:
+        light += samples.lamp_light(si, point, active, wavelengths.spectra)
     return wavelengths, si, point, light
 
 
@@ -110,7 +112,7 @@ def arrive(
     point = tables.scene.surface_point(si, hit, active & is_hit, footprint=None)
     sky = samples.sky_radiance(ray.d, active & ~is_hit, lights, with_sun=False)
     active = active & is_hit
-    return si, point, active, (sky, samples.flash_and_sun_light(si, point, active, lights))
+    return si, point, active, (sky, samples.later_light(si, point, active, lights))
 
 
 def continued_light(

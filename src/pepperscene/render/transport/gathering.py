@@ -114,7 +114,7 @@ def _second_light(tables: FrameTables, samples: Samples, lengths: tuple[int, int
     cells = tables.scene.cells
     side = dr.select(active, cells.at(si, hit, active), mi.UInt32(2 * cells.count))
     at_hit = si, point, active
-    lamps = samples.flash_and_sun_light(*at_hit, wavelengths.spectra)
+    lamps = samples.later_light(*at_hit, wavelengths.spectra)
     bounces, most = lengths
     light = scattered_light(tables, samples, wavelengths, at_hit, lamps, range(1, bounces + 1), most)
     expected = point.albedo() * wavelengths.source

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash
-from pepperscene.render.arrays import channel_array, device_array, device_float
+from pepperscene.render.arrays import channel_array, device_array, device_float, local_coordinates
 from pepperscene.render.kernel.camera import CameraRays, RayPose, SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, SkyTables
 from pepperscene.render.surface.optics import Optics
+from pepperscene.render.transport.lamps import LampSampler
 from pepperscene.render.variant import mitsuba_modules
 
 _MIN_DISTANCE: Final = 1e-4
@@ -24,6 +25,11 @@ single precision ends."""
 _VISIBLE_SUN: Final = 0.02
 """Chosen: sunlight over flash light on a white body half a metre from the flash. Above, the sun's shadows are
 visible and it counts as direct light, below as indirect light."""
+
+
+_MOST_DIRECT: Final = 8.0
+"""Chosen: of more equal lamps, the shadows are as soft as those of the sky. Their light counts as indirect
+light, whose noise is filtered; each shadow ray sees one lamp, so it is as noisy as that of the sky."""
 
 
 class FlashSampler:
@@ -99,6 +105,7 @@ class LightSpectra:
     flash: Any | None  # radiant intensity on the axis; None without a flash
     sun: Any | None  # irradiance across its beam; None without a sun
     sky: Sequence[Any]  # radiance of each of the sky's spectra
+    lamps: Sequence[Any] = ()  # of 1 W of each of the lamps' spectra
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +117,10 @@ class FrameTables:
 
     Attributes:
         scene, rays: geometry and spectra of the surfaces, and the camera's rays.
-        flash, sky: None without a flash or sky.
+        flash, sky, lamps: None without a flash, sky or lamps.
         flash_optics, sun_optics: the surfaces' channel colours under the flash and the sun; None for the sun
             unless its light at first hits is direct light.
+        lamp_optics: the same under each spectrum of the lamps; empty unless their light is direct light.
         colours: the lights by channel.
         first_nm: first wavelength of the spectral tables, whose entries are `STEP_NM` apart.
         last_entry: a little less than the index of their last entry.
@@ -130,8 +138,10 @@ class FrameTables:
     rays: CameraRays
     flash: FlashSampler | None
     sky: SkyTables | None
+    lamps: LampSampler | None
     flash_optics: Optics
     sun_optics: Optics | None
+    lamp_optics: Sequence[Optics]
     colours: LightSpectra
     first_nm: Any
     last_entry: Any
@@ -151,7 +161,7 @@ class FrameTables:
     @property
     def has_lights(self) -> bool:
         """Whether anything sends out light."""
-        return self.flash is not None or self.sky is not None
+        return self.flash is not None or self.sky is not None or self.lamps is not None
 
 
 def frame_tables(
@@ -190,9 +200,18 @@ def frame_tables(
     sun_is_direct = sun is not None and (
         not has_flash or integral(sun).sum() > _VISIBLE_SUN * (integral(response.flash).sum() / 0.25)
     )
+    lights, lamps, lamp_optics = response.lamps, None, list[Optics]()
+    if lights is not None:
+        powers = np.array([(integral(spectrum) / white).sum() for spectrum in lights.spectra])
+        powers = powers[lights.group] * lights.flux_W
+        lamps = LampSampler(lights, powers, local_coordinates(scene.mesh))
+        if lamps_are_direct(powers):
+            lamp_optics = [scene.optics.by_channel(weights(spectrum)) for spectrum in lights.spectra]
     return FrameTables(
         scene=scene,
         rays=rays,
+        lamps=lamps,
+        lamp_optics=lamp_optics,
         flash=FlashSampler(flash, rays) if flash is not None and has_flash else None,
         sky=sky,
         flash_optics=scene.optics.by_channel(weights(reference)),
@@ -201,6 +220,7 @@ def frame_tables(
             flash=colour(response.flash) if has_flash else None,
             sun=None if sun is None else colour(sun),
             sky=[] if sky is None else [colour(np.asarray(table)[: grid.size]) for table in sky.radiance],
+            lamps=[] if lights is None else [colour(spectrum) for spectrum in lights.spectra],
         ),
         first_nm=device_float(grid[0]),
         last_entry=device_float(grid.size - 1.001),
@@ -212,6 +232,7 @@ def frame_tables(
             flash=device_array(response.flash) if has_flash else None,
             sun=None if sky is None else sky.sun_irradiance,
             sky=() if sky is None else sky.radiance,
+            lamps=() if lights is None else [device_array(spectrum) for spectrum in lights.spectra],
         ),
         source=device_array(_mean_source(response, sky)),
         white=white,
@@ -220,10 +241,20 @@ def frame_tables(
     )
 
 
+def lamps_are_direct(powers: NDArray[np.float64]) -> bool:
+    """Whether lamps with some powers `(k,)` are few, so that the shadows of each are visible.
+
+    Of k equal lamps, the square of the sum of powers over the sum of squares is k.
+    """
+    return bool(powers.sum() ** 2 <= _MOST_DIRECT * np.square(powers).sum())
+
+
 def _mean_source(response: SpectralResponse, sky: SkyTables | None) -> NDArray[np.float64]:
     """Sum of the lights' spectra, each over its mean; above 0 at all wavelengths."""
     size = response.grid_nm.size
     lights = [response.flash]
+    if response.lamps is not None:
+        lights += list(response.lamps.emitted)
     if sky is not None:
         tables = [*sky.radiance] + ([] if sky.sun_frame is None else [sky.sun_irradiance])
         lights += [np.asarray(table, float)[:size] for table in tables]

@@ -56,7 +56,7 @@ def needs_long_paths(
 
 
 def has_mainly_daylight(scene: Scene, response: SpectralResponse) -> bool:
-    """Whether there is no flash, or one that is weaker than sky and sun half a metre from it."""
+    """Whether there is no flash, or one that is weaker than all other light half a metre from it."""
     flash, daylight = _detected_light(scene, response)
     return bool(flash.sum() <= daylight.sum())
 
@@ -85,11 +85,13 @@ def mean_albedo(
 def _detected_light(
     scene: Scene, response: SpectralResponse
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`(n,)` light of the flash at `_FLASH_DISTANCE_M` and of the sky that is detected, by wavelength."""
+    """`(n,)` light of the flash at `_FLASH_DISTANCE_M`, and of sky and lamps, that is detected."""
     grid = response.grid_nm
     detected = response.electrons_per_joule.sum(axis=1) * response.trapezoid_nm
     flash = detected * response.flash / _FLASH_DISTANCE_M**2
     daylight = np.zeros(grid.size) if scene.sky is None else detected * _irradiance(scene.sky, grid)
+    if response.lamps is not None:
+        daylight = daylight + detected * response.lamps.irradiance_ahead(_FLASH_DISTANCE_M)
     return flash, daylight
 
 

@@ -108,6 +108,8 @@ def _to_unit_interval(bits: Any) -> Any:
 
 
 _FLASH_POINTS: Final = 4  # chosen among 1, 2 and 4: the smallest error for the same time
+_SOFT_LAMP_POINTS: Final = 16  # of many lamps, whose light few samples carry; see benchmarks/lamps.py
+_GOLDEN: Final = 0.6180339887498949  # of the golden ratio; steps of it fill the unit interval evenly
 TINY: Final = 1e-30  # chosen: below any relevant light or probability, and safe in single precision
 
 
@@ -164,13 +166,15 @@ class Samples:
         light, direction = self.unshadowed_sun(si, point, active, spectra)
         return light & ~self.tables.scene.scene.ray_test(si.spawn_ray(direction), active)
 
-    def flash_and_sun_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
-        """Light of one point of the flash and one of the sun's disc, at later hits.
+    def later_light(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
+        """Light of one point of the flash, one of the sun's disc and one of a lamp, at later hits.
 
-        Shadow rays from later hits are incoherent and expensive, so one serves both: it goes to either, with
-        a probability in proportion to the unshadowed light, and the light is divided by that probability.
+        Shadow rays from later hits are incoherent and expensive, so one serves all: it goes to one light,
+        with a probability in proportion to the unshadowed light, and the light is divided by it.
         """
         at_hit = si, point, active, spectra
+        if self.tables.lamps is not None and spectra.lamps:
+            return self._light_with_lamps(*at_hit)
         has_sun = self.tables.sky is not None and spectra.sun is not None
         if self.tables.flash is None or spectra.flash is None:
             return self.sun_light(*at_hit)
@@ -189,6 +193,87 @@ class Samples:
         ray = dr.select(to_flash, si.spawn_ray_to(target), si.spawn_ray(direction))
         lit = active & (both > 0.0)
         return light & (lit & ~self.tables.scene.scene.ray_test(ray, lit))
+
+    def lamp_light(
+        self, si: Any, point: Any, active: Any, spectra: LightSpectra, group: int | None = None
+    ) -> Any:
+        """Light of the lamps of a spectrum, or of all, at first hits; see `flash_light`."""
+        mi, dr = mitsuba_modules()
+        lamps = self.tables.lamps
+        if lamps is None or not spectra.lamps:
+            return point.reflectance * 0.0
+        limits = (lamps.groups[group], lamps.groups[group + 1]) if group is not None else None
+        choice, place, total = self.next_1d(), self.next_2d(), 0.0
+        count = _FLASH_POINTS if self.tables.lamp_optics else _SOFT_LAMP_POINTS
+        positions = [(k + choice) / count for k in range(count)]
+        for k, chosen in enumerate(lamps.choose(si, point, active, self.pose, positions, limits)):
+            # Each point is even over the whole shape, because the number of the choice decides the lamp.
+            sample = mi.Point2f(_wrapped(place.x + k / count), _wrapped(place.y + k * _GOLDEN))
+            light, target = self._unshadowed_lamp((si, point, active), spectra, chosen, sample)
+            total += light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
+        return total / count
+
+    def one_lamp_light(self, si: Any, point: Any, active: Any) -> list[Any]:
+        """Light of one point of one lamp at later hits, over the spectrum of 1 W, by spectrum."""
+        assert self.tables.lamps is not None
+        (chosen,) = self.tables.lamps.choose(si, point, active, self.pose, [self.next_1d()])
+        light, target, group = self._lamp_point(si, point, active, chosen, self.next_2d())
+        _, dr = mitsuba_modules()
+        light = light & ~self.is_occluded(si, target, active & dr.any(light > 0.0))
+        return [light & (group == k) for k in range(len(self.tables.lamps.groups) - 1)]
+
+    def _lamp_point(
+        self, si: Any, point: Any, active: Any, chosen: tuple[Any, Any], sample: Any
+    ) -> tuple[Any, Any, Any]:
+        """Unshadowed light of a point of a chosen lamp over its probability, that point, and the spectrum."""
+        _, dr = mitsuba_modules()
+        lamps, (number, probability) = self.tables.lamps, chosen
+        assert lamps is not None
+        target, falloff, group = lamps.point(number, si.p, sample, self.pose)
+        value, _ = point.eval_pdf(si.to_local(dr.normalize(target - si.p)))
+        lit = active & (falloff > 0.0) & (probability > 0.0)
+        return (value * (falloff / dr.maximum(probability, TINY))) & lit, target, group
+
+    def _unshadowed_lamp(
+        self, at_hit: tuple[Any, Any, Any], spectra: LightSpectra, chosen: tuple[Any, Any], sample: Any
+    ) -> tuple[Any, Any]:
+        """As `_lamp_point`, with the spectrum's light."""
+        _, dr = mitsuba_modules()
+        light, target, group = self._lamp_point(*at_hit, chosen, sample)
+        emitted = spectra.lamps[0]
+        for k, spectrum in enumerate(spectra.lamps[1:], start=1):
+            emitted = dr.select(group == k, spectrum, emitted)
+        return light * emitted, target
+
+    def _light_with_lamps(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> Any:
+        """Light of one point of the flash, of the sun's disc, or of one lamp, as `later_light`."""
+        _, dr = mitsuba_modules()
+        at_hit = si, point, active, spectra
+        assert self.tables.lamps is not None
+        (chosen,) = self.tables.lamps.choose(si, point, active, self.pose, [self.next_1d()])
+        light, target = self._unshadowed_lamp((si, point, active), spectra, chosen, self.next_2d())
+        lights = [(light, si.spawn_ray_to(target))]
+        if self.tables.flash is not None and spectra.flash is not None:
+            light, target = self.unshadowed_flash(*at_hit, self.next_2d())
+            lights.append((light, si.spawn_ray_to(target)))
+        if self.tables.sky is not None and spectra.sun is not None:
+            light, direction = self.unshadowed_sun(*at_hit)
+            lights.append((light, si.spawn_ray(direction)))
+        scene = self.tables.scene.scene
+        if not self.tables.roulette:
+            return sum(light & ~scene.ray_test(ray, active) for light, ray in lights)
+        # The first light whose share, with those before it, is above a random number.
+        strengths = [dr.sum(light) for light, _ in lights]
+        total, position, before = sum(strengths), self.next_1d(), 0.0
+        light, ray = lights[0]
+        probability = strengths[0] / dr.maximum(total, TINY)
+        for k in range(1, len(lights)):
+            before = before + strengths[k - 1] / dr.maximum(total, TINY)
+            takes = (position >= before) & (strengths[k] > 0.0)
+            light, ray = dr.select(takes, lights[k][0], light), dr.select(takes, lights[k][1], ray)
+            probability = dr.select(takes, strengths[k] / dr.maximum(total, TINY), probability)
+        lit = active & (total > 0.0)
+        return (light / dr.maximum(probability, TINY)) & (lit & ~scene.ray_test(ray, lit))
 
     def sky_radiance(self, direction: Any, active: Any, spectra: LightSpectra, *, with_sun: bool) -> Any:
         """Radiance of the sky from a direction; with the sun's disc if it is seen directly."""
@@ -257,6 +342,12 @@ class Samples:
         return (value * spectra.sun) & active, direction
 
 
+def _wrapped(value: Any) -> Any:
+    """The fraction of a number at least 0."""
+    _, dr = mitsuba_modules()
+    return value - dr.floor(value)
+
+
 def _sky_uv(direction: Any) -> Any:
     """Coordinates of directions in the texture of the sky's weights."""
     mi, dr = mitsuba_modules()
@@ -287,6 +378,7 @@ class SampleWavelengths:
             flash=None if tables.spectra.flash is None else self._lookup(tables.spectra.flash),
             sun=None if tables.spectra.sun is None else self._lookup(tables.spectra.sun),
             sky=[self._lookup(table) for table in tables.spectra.sky],
+            lamps=[self._lookup(table) for table in tables.spectra.lamps],
         )
 
     def channels(self, radiance: Any) -> list[Any]:

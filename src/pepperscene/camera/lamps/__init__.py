@@ -1,0 +1,1 @@
+"""Lamps: their shapes, beams and strengths, and the files that describe them."""
