@@ -15,6 +15,7 @@ import copy
 from dataclasses import replace
 from typing import Any, Final
 
+from pepperscene.render.kernel.scene import SkyTables
 from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.transport.lights import FrameTables, LightSpectra
 from pepperscene.render.variant import mitsuba_modules
@@ -196,7 +197,7 @@ class Samples:
         sky = self.tables.sky
         if sky is None:
             return 0.0
-        uv = _sky_uv(direction)
+        uv = sky_uv(direction)
         first: Any = spectra.sky[0] if spectra.sky else spectra.sun
         radiance = first * 0.0
         for weight, spectrum in zip(sky.weights.eval(uv, active), spectra.sky, strict=True):
@@ -216,7 +217,7 @@ class Samples:
         sky = self.tables.sky
         if sky is None:
             return []
-        weights = [weight & active for weight in sky.weights.eval(_sky_uv(direction), active)]
+        weights = [weight & active for weight in sky.weights.eval(sky_uv(direction), active)]
         if with_sun and sky.sun_frame is not None:
             square = dr.square(sky.sun_chord)
             in_disc = dr.squared_norm(direction - sky.sun_frame.n) < square
@@ -245,19 +246,24 @@ class Samples:
 
     def unshadowed_sun(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> tuple[Any, Any]:
         """Unshadowed light of a point of the sun's disc, and the direction to it."""
-        mi, dr = mitsuba_modules()
         sky = self.tables.sky
         assert sky is not None
-        # Squared chords from the centre are uniform over a cap, as squared radii are over a flat disc.
-        chord = sky.sun_chord * mi.warp.square_to_uniform_disk_concentric(self.next_2d())
-        square = dr.squared_norm(chord)
-        across = chord * dr.sqrt(1.0 - 0.25 * square)
-        direction = sky.sun_frame.to_world(mi.Vector3f(across.x, across.y, 1.0 - 0.5 * square))
+        direction = sun_direction(sky, self.next_2d())
         value, _ = point.eval_pdf(si.to_local(direction))
         return (value * spectra.sun) & active, direction
 
 
-def _sky_uv(direction: Any) -> Any:
+def sun_direction(sky: SkyTables, sample: Any) -> Any:
+    """A direction to the sun's disc for each point of the unit square, even over its solid angle."""
+    mi, dr = mitsuba_modules()
+    # Squared chords from the centre are uniform over a cap, as squared radii are over a flat disc.
+    chord = sky.sun_chord * mi.warp.square_to_uniform_disk_concentric(sample)
+    square = dr.squared_norm(chord)
+    across = chord * dr.sqrt(1.0 - 0.25 * square)
+    return sky.sun_frame.to_world(mi.Vector3f(across.x, across.y, 1.0 - 0.5 * square))
+
+
+def sky_uv(direction: Any) -> Any:
     """Coordinates of directions in the texture of the sky's weights."""
     mi, dr = mitsuba_modules()
     azimuth = dr.atan2(direction.y, direction.x) * dr.inv_two_pi
@@ -295,14 +301,18 @@ class SampleWavelengths:
         return [dr.sum(radiance * self.weights * electrons) for electrons in self.electrons_per_joule]
 
     def _lookup(self, table: Any) -> Any:
-        """A table at the samples' wavelengths, linear between its entries."""
-        mi, dr = mitsuba_modules()
-        result = mi.Spectrum(0.0)
-        for k in range(4):
-            x = dr.clip((self.nm[k] - self.tables.first_nm) / STEP_NM, 0.0, self.tables.last_entry)
-            left = dr.floor(x)
-            index = mi.UInt32(left)
-            result[k] = dr.lerp(
-                dr.gather(mi.Float, table, index), dr.gather(mi.Float, table, index + 1), x - left
-            )
-        return result
+        return at_wavelengths(table, self.nm, self.tables.first_nm, self.tables.last_entry)
+
+
+def at_wavelengths(table: Any, nm: Any, first_nm: Any, last_entry: Any) -> Any:
+    """A spectral table at four wavelengths, linear between its entries; see `FrameTables`."""
+    mi, dr = mitsuba_modules()
+    result = mi.Spectrum(0.0)
+    for k in range(4):
+        x = dr.clip((nm[k] - first_nm) / STEP_NM, 0.0, last_entry)
+        left = dr.floor(x)
+        index = mi.UInt32(left)
+        result[k] = dr.lerp(
+            dr.gather(mi.Float, table, index), dr.gather(mi.Float, table, index + 1), x - left
+        )
+    return result
