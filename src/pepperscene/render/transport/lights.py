@@ -127,7 +127,7 @@ class FrameTables:
     """
 
     scene: LightScene
-    rays: CameraRays
+    rays: Any  # `CameraRays`; None for meters on surfaces
     flash: FlashSampler | None
     sky: SkyTables | None
     flash_optics: Optics
@@ -156,7 +156,7 @@ class FrameTables:
 
 def frame_tables(
     scene: LightScene,
-    rays: CameraRays,
+    rays: CameraRays | None,
     response: SpectralResponse,
     flash: Flash | None,
     sky: SkyTables | None,

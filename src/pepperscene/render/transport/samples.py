@@ -15,7 +15,6 @@ import copy
 from dataclasses import replace
 from typing import Any, Final
 
-from pepperscene.render.kernel.scene import SkyTables
 from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.transport.lights import FrameTables, LightSpectra
 from pepperscene.render.variant import mitsuba_modules
@@ -131,6 +130,14 @@ class Samples:
         start, direction = rays.sample_rays(self.pose, column, row, point, self.next_2d)
         self.ray: Any = mi.Ray3f(start, direction)
 
+    @classmethod
+    def on_surfaces(cls, tables: FrameTables, sequence: OwenSobol) -> Samples:
+        """Samples that start on surfaces, without a camera."""
+        samples = cls.__new__(cls)
+        samples.tables, samples.sequence, samples.ray = tables, sequence, None
+        samples.next_1d, samples.next_2d = sequence.next_1d, sequence.next_2d
+        return samples
+
     def subset(self, lanes: Any) -> Samples:
         """Some lanes of the wavefront, without their camera rays; the next random numbers are the same."""
         mi, dr = mitsuba_modules()
@@ -197,7 +204,7 @@ class Samples:
         sky = self.tables.sky
         if sky is None:
             return 0.0
-        uv = sky_uv(direction)
+        uv = _sky_uv(direction)
         first: Any = spectra.sky[0] if spectra.sky else spectra.sun
         radiance = first * 0.0
         for weight, spectrum in zip(sky.weights.eval(uv, active), spectra.sky, strict=True):
@@ -217,7 +224,7 @@ class Samples:
         sky = self.tables.sky
         if sky is None:
             return []
-        weights = [weight & active for weight in sky.weights.eval(sky_uv(direction), active)]
+        weights = [weight & active for weight in sky.weights.eval(_sky_uv(direction), active)]
         if with_sun and sky.sun_frame is not None:
             square = dr.square(sky.sun_chord)
             in_disc = dr.squared_norm(direction - sky.sun_frame.n) < square
@@ -246,24 +253,19 @@ class Samples:
 
     def unshadowed_sun(self, si: Any, point: Any, active: Any, spectra: LightSpectra) -> tuple[Any, Any]:
         """Unshadowed light of a point of the sun's disc, and the direction to it."""
+        mi, dr = mitsuba_modules()
         sky = self.tables.sky
         assert sky is not None
-        direction = sun_direction(sky, self.next_2d())
+        # Squared chords from the centre are uniform over a cap, as squared radii are over a flat disc.
+        chord = sky.sun_chord * mi.warp.square_to_uniform_disk_concentric(self.next_2d())
+        square = dr.squared_norm(chord)
+        across = chord * dr.sqrt(1.0 - 0.25 * square)
+        direction = sky.sun_frame.to_world(mi.Vector3f(across.x, across.y, 1.0 - 0.5 * square))
         value, _ = point.eval_pdf(si.to_local(direction))
         return (value * spectra.sun) & active, direction
 
 
-def sun_direction(sky: SkyTables, sample: Any) -> Any:
-    """A direction to the sun's disc for each point of the unit square, even over its solid angle."""
-    mi, dr = mitsuba_modules()
-    # Squared chords from the centre are uniform over a cap, as squared radii are over a flat disc.
-    chord = sky.sun_chord * mi.warp.square_to_uniform_disk_concentric(sample)
-    square = dr.squared_norm(chord)
-    across = chord * dr.sqrt(1.0 - 0.25 * square)
-    return sky.sun_frame.to_world(mi.Vector3f(across.x, across.y, 1.0 - 0.5 * square))
-
-
-def sky_uv(direction: Any) -> Any:
+def _sky_uv(direction: Any) -> Any:
     """Coordinates of directions in the texture of the sky's weights."""
     mi, dr = mitsuba_modules()
     azimuth = dr.atan2(direction.y, direction.x) * dr.inv_two_pi
@@ -301,18 +303,14 @@ class SampleWavelengths:
         return [dr.sum(radiance * self.weights * electrons) for electrons in self.electrons_per_joule]
 
     def _lookup(self, table: Any) -> Any:
-        return at_wavelengths(table, self.nm, self.tables.first_nm, self.tables.last_entry)
-
-
-def at_wavelengths(table: Any, nm: Any, first_nm: Any, last_entry: Any) -> Any:
-    """A spectral table at four wavelengths, linear between its entries; see `FrameTables`."""
-    mi, dr = mitsuba_modules()
-    result = mi.Spectrum(0.0)
-    for k in range(4):
-        x = dr.clip((nm[k] - first_nm) / STEP_NM, 0.0, last_entry)
-        left = dr.floor(x)
-        index = mi.UInt32(left)
-        result[k] = dr.lerp(
-            dr.gather(mi.Float, table, index), dr.gather(mi.Float, table, index + 1), x - left
-        )
-    return result
+        """A table at the samples' wavelengths, linear between its entries."""
+        mi, dr = mitsuba_modules()
+        result = mi.Spectrum(0.0)
+        for k in range(4):
+            x = dr.clip((self.nm[k] - self.tables.first_nm) / STEP_NM, 0.0, self.tables.last_entry)
+            left = dr.floor(x)
+            index = mi.UInt32(left)
+            result[k] = dr.lerp(
+                dr.gather(mi.Float, table, index), dr.gather(mi.Float, table, index + 1), x - left
+            )
+        return result
