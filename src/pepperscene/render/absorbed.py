@@ -78,7 +78,8 @@ class AbsorbedLight:
         member = np.flatnonzero(group >= 0)
         rows = self.replicates.reshape(-1, len(group))[:, member]
         sums = np.stack([np.bincount(group[member], row, count) for row in rows])
-        return LightAmounts.of(sums.reshape(*self.replicates.shape[:3], count))
+        shape = *self.replicates.shape[:3], count
+        return LightAmounts.of(np.asarray(sums, np.float64).reshape(shape))
 
 
 def add_light(parts: Sequence[AbsorbedLight], weights: Sequence[float]) -> AbsorbedLight:
@@ -104,7 +105,7 @@ def absorbed_light(
         bands: names of `WAVEBANDS`, texts such as "red_edge=700-740", or bands.
         measured: "absorbed", or "received": all light that arrives at both sides of the surfaces.
         target_error: standard error at which tracing stops, over the photons that a leaf or fruit measures
-            in the first band, or over the median of all if that is more. Other organs have four times that.
+            in the first band, or over the median of these if that is more. Other organs have four times that.
         seed: of the samples.
 
     Raises:
@@ -162,9 +163,7 @@ class LightTracer:
         for number in range(_MOST_ROUNDS):
             if not left.size:
                 break
-            more = self._meters.measure(
-                tables, self.instances[left], number * _ROUND, _ROUND, seed, measured
-            )
+            more = self._meters.measure(tables, self.instances[left], number * _ROUND, _ROUND, seed, measured)
             sums[:, :, left] += more
             samples[left] += _ROUND
             left = left[self._is_unsure(sums[len(bands)], samples, target_error)[left]]
@@ -181,7 +180,8 @@ class LightTracer:
         """`(n,)` whether the error of sums of replicates is above the target."""
         density = photons / samples
         mean, error = density.mean(axis=0), density.std(axis=0, ddof=1) / np.sqrt(REPLICATES)
-        return np.asarray(error > target_error * self._tolerance * np.maximum(mean, np.median(mean)))
+        typical = np.median(mean[self._tolerance == 1.0])
+        return np.asarray(error > target_error * self._tolerance * np.maximum(mean, typical))
 
 
 def _is_own(item: Instance) -> bool:

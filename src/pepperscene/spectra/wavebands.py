@@ -32,7 +32,7 @@ class Waveband:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise ArgumentError("bands", f"a band is named in lower-case letters, digits and _: {self.name}")
-        if not (FIRST_NM <= self.first_nm and self.first_nm + 1.0 <= self.last_nm <= LAST_NM):
+        if not (self.first_nm >= FIRST_NM and self.first_nm + 1.0 <= self.last_nm <= LAST_NM):
             limits = f"{self.first_nm:g} to {self.last_nm:g} nm"
             raise ArgumentError(
                 "bands",
@@ -60,7 +60,7 @@ def parse_wavebands(texts: Iterable[str | Waveband]) -> tuple[Waveband, ...]:
     """Bands from names of `WAVEBANDS` and texts such as "red_edge=700-740".
 
     Raises:
-        ArgumentError: a name is unknown or occurs twice, limits are no numbers, or there are none or too many.
+        ArgumentError: a name is unknown or occurs twice, limits are no numbers, or there are too many.
     """
     bands = tuple(text if isinstance(text, Waveband) else _parse(text.strip()) for text in texts)
     if not 1 <= len(bands) <= _MOST:

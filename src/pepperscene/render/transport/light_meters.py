@@ -1,9 +1,10 @@
 """Meters on surfaces: the light that a surface receives or absorbs per area, both sides together.
 
 A meter stands in the place of the surface's BSDF where a path begins. Its "BSDF" times cosine is
-a(w) |cos w| / (2 pi) for directions w on both sides, with the absorptance a(w) = 1 - E(w) - A(w) (R + T) of that
-side (see `surface.scattering`), or 1. So sun, lamps and sky reach it as they reach all surfaces in images, and
-2 pi times the light that it "scatters" is the integral of a |cos w| L over all directions.
+a(w) |cos w| / (2 pi) for directions w on both sides. a(w) is the absorptance 1 - E(w) - A(w) (R + T) of that
+side (see `surface.scattering`), or 1 for all light that arrives. So sun, lamps and sky reach it as they
+reach surfaces in images, and 2 pi times the light that it "scatters" is the integral of a |cos w| L over all
+directions.
 
 Cosines are those of the triangle, so that the sum over a mesh is what enters its triangles.
 """
@@ -79,9 +80,7 @@ class Meter:
         _, dr = mitsuba_modules()
         if self.sides is None:
             return self.reflectance
-        front, back = (
-            point.near.at(point.openness, cosine) * (1.0 - point.albedo()) for point in self.sides
-        )
+        front, back = (point.near.at(point.openness, cosine) * (1.0 - point.albedo()) for point in self.sides)
         return dr.select(wo.z > 0.0, front, back)
 
 
@@ -103,13 +102,14 @@ def meter_tables(kernel: LightScene, scene: Scene, bands: Sequence[Waveband]) ->
     """Kernel data of the lights of a scene in some bands."""
     first, last = band_range(bands)
     grid = np.arange(first, last + STEP_NM / 2, STEP_NM)
-    light = np.ones(grid.size)
+    light: NDArray[np.float64] = np.ones(grid.size)
     if scene.sky is not None:
-        light = scene.sky.received() @ scene.sky.radiance.at(grid)
+        light = np.asarray(scene.sky.received() @ scene.sky.radiance.at(grid))
         if scene.sky.sun is not None:
             light = light + scene.sky.sun.irradiance.at(grid)
     density = _density(light * grid, bands, grid)
-    response = SpectralResponse(grid, (density > 0.0)[:, None] * 1.0, np.zeros(grid.size), density)
+    within = np.asarray(density[:, None] > 0.0, np.float64)
+    response = SpectralResponse(grid, within, np.zeros(grid.size), density)
     return frame_tables(kernel, None, response, None, sky_tables(scene, grid))
 
 
@@ -130,7 +130,7 @@ def _density(
         # Where lights have little or nothing, some samples find that out.
         part = part + np.where(within, max(0.05 * part.max(), 1e-12), 0.0)
         density += part / part.sum()
-    return density
+    return np.asarray(density)
 
 
 def meter_light(
@@ -220,7 +220,10 @@ class OrganMeters:
 
         # A triangle in proportion to its area, and a point of it.
         position, at = samples.next_1d(), samples.next_2d()
-        entry, last = dr.gather(mi.UInt32, self._first, organ), dr.gather(mi.UInt32, self._first, organ + 1) - 1
+        entry, last = (
+            dr.gather(mi.UInt32, self._first, organ),
+            dr.gather(mi.UInt32, self._first, organ + 1) - 1,
+        )
         for _ in range(_HALVINGS):
             middle = (entry + last) >> 1
             is_before = dr.gather(mi.Float, self._share, middle) <= position

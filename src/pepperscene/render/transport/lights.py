@@ -193,7 +193,7 @@ def frame_tables(
     return FrameTables(
         scene=scene,
         rays=rays,
-        flash=FlashSampler(flash, rays) if flash is not None and has_flash else None,
+        flash=FlashSampler(flash, rays) if flash and rays and has_flash else None,
         sky=sky,
         flash_optics=scene.optics.by_channel(weights(reference)),
         sun_optics=scene.optics.by_channel(weights(sun)) if sun is not None and sun_is_direct else None,
