@@ -24,6 +24,8 @@ from pepperscene.spectra.wavebands import Waveband, parse_wavebands
 
 DEFAULT_BANDS: Final = ("par",)
 _ROUND: Final = 8  # chosen: samples of a replicate between two estimates of the error
+_LEAST_ROUNDS: Final = 2
+"""Chosen: rare light is not taken for missing light too early."""
 _MOST_ROUNDS: Final = 256  # chosen: 65,536 samples of an organ
 _OTHERS: Final = 4.0  # chosen: error of organs that are neither leaves nor fruit, over that of these
 _LEAST_ERROR, _MOST_ERROR = 0.001, 1.0
@@ -166,6 +168,8 @@ class LightTracer:
             more = self._meters.measure(tables, self.instances[left], number * _ROUND, _ROUND, seed, measured)
             sums[:, :, left] += more
             samples[left] += _ROUND
+            if number + 1 < _LEAST_ROUNDS:
+                continue
             left = left[self._is_unsure(sums[len(bands)], samples, target_error)[left]]
             if on_progress is not None:
                 on_progress(1.0 - len(left) / count)

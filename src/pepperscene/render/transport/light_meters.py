@@ -25,7 +25,7 @@ from pepperscene.render.kernel.camera import SpectralResponse
 from pepperscene.render.kernel.scene import LightScene, sky_tables
 from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.surface.scattering import SurfacePoint
-from pepperscene.render.transport.channel_paths import scattered_light
+from pepperscene.render.transport.channel_paths import continued_light
 from pepperscene.render.transport.lights import FrameTables, frame_tables
 from pepperscene.render.transport.samples import OwenSobol, Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
@@ -149,9 +149,12 @@ def meter_light(
     si.wavelengths = wavelengths.nm
     si, meter = meter_at(tables.scene, si, hit, active, measured)
     lamps = samples.flash_and_sun_light(si, meter, active, wavelengths.spectra)
-    at_hit = si, meter, active
-    light = scattered_light(tables, samples, wavelengths, at_hit, lamps, range(1), _MOST_BOUNCES)
-    power = dr.select(active, light, 0.0) * wavelengths.weights * dr.two_pi
+    wo, density, weight, _ = meter.sample(samples.next_1d(), samples.next_2d())
+    ray, seen = si.spawn_ray(si.to_world(wo)), active & (density > 0.0)
+    # Paths go on with what they carry of the light that arrives, however little of that the surface absorbs.
+    whole = mi.Spectrum(1.0)
+    light = continued_light(tables, samples, wavelengths, (0, _MOST_BOUNCES), ray, seen, whole)
+    power = dr.select(active, lamps + weight * light, 0.0) * wavelengths.weights * dr.two_pi
     inside = [(wavelengths.nm >= low) & (wavelengths.nm <= high) for low, high in limits]
     photons = power * wavelengths.nm * UMOL_PER_J_NM
     return [dr.sum(values & mask) for values in (power, photons) for mask in inside]
