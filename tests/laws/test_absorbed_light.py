@@ -9,7 +9,7 @@ from bodies import RANGE_NM, axis_camera, body, card, sphere
 
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.materials import Surface
-from pepperscene.render.absorbed import AbsorbedLight, absorbed_light
+from pepperscene.render.absorbed import AbsorbedLight, LightTracer, absorbed_light
 from pepperscene.render.reference.path_tracer import path_scene
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Sky, Sun, assemble_scene
@@ -28,9 +28,7 @@ def daylight(towards=(0.6, 0.0, 0.8), radiance=RADIANCE, beam=BEAM) -> Sky:
 
 def grey(name: str, reflectance: float, transmittance: float = 0.0, **gloss) -> Surface:
     """A surface of one reflectance and transmittance."""
-    return Surface(
-        name, RANGE_NM, np.full((1, 2, 2), reflectance), np.full((1, 2), transmittance), **gloss
-    )
+    return Surface(name, RANGE_NM, np.full((1, 2, 2), reflectance), np.full((1, 2), transmittance), **gloss)
 
 
 def watts(light: AbsorbedLight) -> tuple[np.ndarray, np.ndarray]:
@@ -132,21 +130,23 @@ def chamber():
     sides = sorted(box.facets, key=lambda facet: box.face_normals[facet[0], 2])
     parts += [body(box.submesh([side], append=True), "wall") for side in sides[:-1]]
     parts.append(body(box.submesh([sides[-1]], append=True), "lid"))
-    two_sided = {"wall": ((1.0, 0.5), 0.0), "lid": ((0.5, 0.0), 0.5)}
+    two_sided = {"wall": ((1.0, 0.2), 0.0), "lid": ((0.5, 0.0), 0.5)}
     surfaces = {"leaf": grey("leaf", 0.3, 0.4)}
     for name, (reflectance, through) in two_sided.items():
         both = np.repeat(np.array(reflectance)[None, :, None], 2, axis=2)
         surfaces[name] = Surface(name, RANGE_NM, both, np.full((1, 2), through))
-    return assemble_scene(concatenate_meshes(parts), surfaces, daylight())
+    return assemble_scene(concatenate_meshes(parts), surfaces, daylight(beam=0.3))
 
 
-def test_energy_in_is_absorbed_and_left():
-    power, error = watts(absorbed_light(chamber(), target_error=0.007))
-    entered = 0.5 * PAR_NM * (np.pi * RADIANCE + 0.8 * BEAM)
+@pytest.mark.parametrize(("seeds", "tolerance"), [(1, 0.02), pytest.param(16, 0.005, marks=pytest.mark.long)])
+def test_energy_in_is_absorbed_and_left(seeds, tolerance):
+    # One estimate has a standard error of .7 %.
+    tracer = LightTracer(chamber())
+    power = np.mean([watts(tracer.trace(target_error=0.005, seed=seed))[0] for seed in range(seeds)], axis=0)
+    entered = 0.5 * PAR_NM * (np.pi * RADIANCE + 0.8 * 0.3)
     left = power[-1] / 0.5
-    assert power[:-1].sum() + left == pytest.approx(entered, rel=0.005)
+    assert power[:-1].sum() + left == pytest.approx(entered, rel=tolerance)
     assert left > 0.05 * entered
-    assert np.sqrt((error[:-1] ** 2).sum() + (error[-1] / 0.5) ** 2) < 0.0025 * entered
 
 
 def test_organs_agree_with_the_path_tracer_of_mitsuba():

@@ -154,9 +154,7 @@ class LightTracer:
         Raises:
             ArgumentError: the target is not valid.
         """
-        if not _LEAST_ERROR <= target_error <= _MOST_ERROR:
-            limits = f"{_LEAST_ERROR:g} to {_MOST_ERROR:g}"
-            raise ArgumentError("target_error", f"must be {limits}, not {target_error}")
+        check_target(target_error)
         scene = self.scene if sky == "scene" else replace(self.scene, sky=sky)
         tables, count, bands = meter_tables(self._kernel, scene, self.bands), len(self.instances), self.bands
         sums, samples = np.zeros((2 * len(bands), REPLICATES, count)), np.zeros(count, np.intp)
@@ -186,6 +184,13 @@ class LightTracer:
         mean, error = density.mean(axis=0), density.std(axis=0, ddof=1) / np.sqrt(REPLICATES)
         typical = np.median(mean[self._tolerance == 1.0])
         return np.asarray(error > target_error * self._tolerance * np.maximum(mean, typical))
+
+
+def check_target(target_error: float) -> None:
+    """Raise `ArgumentError` unless tracing can reach an error."""
+    if not _LEAST_ERROR <= target_error <= _MOST_ERROR:
+        limits = f"{_LEAST_ERROR:g} to {_MOST_ERROR:g}"
+        raise ArgumentError("target_error", f"must be {limits}, not {target_error}")
 
 
 def _is_own(item: Instance) -> bool:

@@ -12,6 +12,7 @@ from pepperscene.options import Option
 
 if TYPE_CHECKING:
     from pepperscene.scene.daylight_course import DaylightMoment, Place
+    from pepperscene.spectra.wavebands import Waveband
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,16 @@ class LightOptions:
         Path | None,
         Option("CSV file of measured light of the day: time, direct_W_m2, diffuse_W_m2.", "FILE"),
     ] = None
+
+    def wavebands(self) -> tuple[Waveband, ...]:
+        """The bands; raises `ArgumentError` for bands, an error or a layer that are not valid."""
+        from pepperscene.render.absorbed import check_target
+        from pepperscene.spectra.wavebands import parse_wavebands
+
+        check_target(self.target_error)
+        if not 10.0 <= self.layer <= 10_000.0:
+            raise ArgumentError("layer", f"must be 10 to 10000 millimetres, not {self.layer:g}")
+        return parse_wavebands(self.bands.split(","))
 
     def place(self) -> Place:
         """Where the sun shines; raises `ArgumentError` for angles that do not exist."""

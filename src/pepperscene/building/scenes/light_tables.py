@@ -16,7 +16,6 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.scenes.light_options import LightOptions
 from pepperscene.building.scenes.trait_tables import encode_table, table_files
 from pepperscene.dataset.store.manifest import Row, TableColumn, axis_columns, column_types, rows_table
-from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from pepperscene.render.absorbed import AbsorbedLight, LightAmounts, LightTracer
     from pepperscene.scene import Scene, Sky
     from pepperscene.scene.daylight_course import DaylightMoment
+    from pepperscene.spectra.wavebands import Waveband
 
 _TIME: Final = {
     "frame": TableColumn("int64", "the frame whose scene this is"),
@@ -133,13 +133,11 @@ def light_tables(
         InputError: the recipe, a file that it names, the index or an option is not valid.
     """
     options, tell = options or LightOptions(), on_stage or _ignore
-    moments = options.moments()
-    if not 10.0 <= options.layer <= 10_000.0:
-        raise ArgumentError("layer", f"must be 10 to 10000 millimetres, not {options.layer:g}")
+    moments, bands = options.moments(), options.wavebands()
     renderer = FrameRenderer(recipe, on_stage=on_stage)
     plan = renderer.recipe.plan
     spec = plan.frame(plan.select_indices(None if frame is None else [frame], "frame")[0])
-    tracer = _tracer(renderer, spec, options, tell)
+    tracer = _tracer(renderer, spec, bands, tell)
     organs = _Organs.of(tracer, renderer.setups.at(spec).recipe.row.plants_front, options.layer / 1e3)
     rows: dict[str, list[Row]] = {name: [] for name in LIGHT_TABLES}
     parts, hours = [], []
@@ -205,14 +203,13 @@ def lit_scene(renderer: FrameRenderer, spec: FrameSpec, nm: tuple[float, float])
 
 
 def _tracer(
-    renderer: FrameRenderer, spec: FrameSpec, options: LightOptions, tell: Callable[[str], None]
+    renderer: FrameRenderer, spec: FrameSpec, bands: tuple[Waveband, ...], tell: Callable[[str], None]
 ) -> LightTracer:
-    from pepperscene.spectra.wavebands import FIRST_NM, LAST_NM, parse_wavebands
+    from pepperscene.render.absorbed import LightTracer
+    from pepperscene.spectra.wavebands import FIRST_NM, LAST_NM
 
-    bands = parse_wavebands(options.bands.split(","))
     tell("growing plants")
     scene = lit_scene(renderer, spec, (FIRST_NM, LAST_NM))
-    from pepperscene.render.absorbed import LightTracer
 
     return LightTracer(scene, bands)
 
