@@ -108,10 +108,10 @@ def test_command_writes_tables(tmp_path):
 @pytest.mark.parametrize(
     "options",
     [
-        {"bands": "purple"}, {"bands": "par,par"}, {"bands": "x=700-600"}, {"bands": "x=200-600"}, {"bands": ""},
-        {"target_error": 0.0}, {"target_error": float("nan")}, {"layer": 0.0}, {"date": "june"},
-        {"date": "2026-12-21", "latitude": 80.0}, {"weather": "day.csv"}, {"date": "2026-06-21", "every": 0.0},
-        {"latitude": 100.0, "date": "2026-06-21"},
+        {"bands": "purple"}, {"bands": "par,par"}, {"bands": "x=700-600"}, {"bands": "x=200-600"},
+        {"bands": ""}, {"target_error": 0.0}, {"target_error": float("nan")}, {"layer": 0.0},
+        {"date": "june"}, {"date": "2026-12-21", "latitude": 80.0}, {"weather": "day.csv"},
+        {"date": "2026-06-21", "every": 0.0}, {"latitude": 100.0, "date": "2026-06-21"},
     ],
 )  # fmt: skip
 def test_bad_options(recipe, options):

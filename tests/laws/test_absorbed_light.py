@@ -159,7 +159,7 @@ def test_organs_agree_with_the_path_tracer_of_mitsuba():
     density = light.amounts.watts[0] / light.area_m2 / PAR_NM
     error = light.amounts.watts_error[0] / light.area_m2 / PAR_NM
 
-    mi, dr = mitsuba_modules()
+    mi, _ = mitsuba_modules()
     groups, count = 32, 128
     samples = groups * count
     place = rng.uniform(0.0, 1.0, (2, 50, samples))

@@ -39,8 +39,8 @@ def test_sun_at_noon_of_the_solstices(day, noon_deg):
 
 
 def test_longest_day_has_its_length():
-    # 16 h 50 min between sunrise and sunset at 52 degrees north, which refraction lengthens by 10 minutes; the
-    # sun is below 1 degree for 16 minutes of it.
+    # 16 h 50 min between sunrise and sunset at 52 degrees north, which refraction lengthens by 10 minutes;
+    # the sun is below 1 degree for 16 minutes of it.
     hours = sum(moment.hours for moment in clear_day(date(2024, 6, 20), Place(52.0), 5.0))
     assert hours == pytest.approx(16.3, abs=0.25)
 
