@@ -4,7 +4,7 @@ from .building.execution.progress_bar import ProgressBar as ProgressBar
 from .building.execution.single_frame import render_frame as render_frame
 from .building.scenes.frame_renderer import FrameRenderer as FrameRenderer
 from .building.scenes.light_options import LightOptions as LightOptions
-from .building.scenes.light_tables import LightTables as LightTables
+from .building.scenes.light_tables import OrganLight as OrganLight
 from .building.scenes.light_tables import light_tables as light_tables
 from .building.scenes.light_tables import write_light as write_light
 from .building.scenes.plants import GrownPlant as GrownPlant

@@ -19,10 +19,11 @@ from pepperscene.building.scenes.optics import (
     prepare_for_mitsuba,
 )
 from pepperscene.building.scenes.scene_builder import NearPlants, NearScene, SceneBuilder
+from pepperscene.building.scenes.skies import sky_above
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import OUTPUTS, needs_surfaces
-from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
+from pepperscene.recipe.plan import FrameSpec, frame_seed
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.camera_views import CameraViews
 from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
@@ -321,48 +322,15 @@ class FrameRenderer:
         light = setup.recipe.daylight
         if light is None or light.illuminance_lx == 0:
             return None
-        return self._sky(
-            spec,
+        return sky_above(
+            self.builder(spec),
             setup,
+            spec,
             illuminance_lx=light.illuminance_lx,
             sun_azimuth_rad=light.sun_azimuth_rad,
             sun_elevation_rad=light.sun_elevation_rad,
             sun_fraction=light.sun_fraction,
             cloud_cover=light.cloud_cover,
-        )
-
-    def sky_under(self, spec: FrameSpec, direct_lx: float, diffuse_lx: float, **shape: float) -> Sky:
-        """The sky below the cover of a frame's greenhouse, instead of the frame's own.
-
-        Args:
-            spec: the frame.
-            direct_lx: on a level plane above the cover, from the sun.
-            diffuse_lx: likewise, from the sky.
-            shape: `cloud_cover`, `sun_azimuth_rad` and `sun_elevation_rad`, as of `partly_cloudy_sky`.
-        """
-        from pepperscene.scene.sky import MAX_SUN_FRACTION
-        from pepperscene.spectra import illuminance, sky_spectrum, sun_spectrum
-
-        setup = self.setups.at(spec)
-        if setup.cover is not None:
-            through = setup.cover.transmittance
-            sun, sky = sun_spectrum(shape["sun_elevation_rad"]), sky_spectrum("d65")
-            direct_lx *= illuminance(sun.times(through)) / illuminance(sun)
-            diffuse_lx *= illuminance(sky.times(through)) / illuminance(sky)
-        total = direct_lx + diffuse_lx
-        sun_fraction = min(direct_lx / total, MAX_SUN_FRACTION)
-        return self._sky(spec, setup, illuminance_lx=total, sun_fraction=sun_fraction, **shape)
-
-    def _sky(self, spec: FrameSpec, setup: FrameSetup, **light: float) -> Sky:
-        from pepperscene.scene import leaf_area_index, partly_cloudy_sky
-
-        builder = self.builder(spec)
-        plants = [plant.mesh for plant in builder.plants(spec.set)]
-        return partly_cloudy_sky(
-            random_generator(self.recipe.seed, Stream.SKY, spec.set),
-            cover=setup.cover,
-            leaf_area_index=leaf_area_index(plants, builder.row, builder.greenhouse),
-            **light,
         )
 
     def builder(self, spec: FrameSpec) -> SceneBuilder:

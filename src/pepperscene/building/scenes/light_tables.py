@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pepperscene.atomic import check_can_write, write_files
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.scenes.light_options import LightOptions
+from pepperscene.building.scenes.skies import sky_under_daylight
 from pepperscene.building.scenes.trait_tables import encode_table, table_files
 from pepperscene.dataset.store.manifest import Row, TableColumn, axis_columns, column_types, rows_table
 from pepperscene.recipe.plan import FrameSpec
@@ -97,7 +98,7 @@ LIGHT_TABLES: Final[Mapping[str, Mapping[str, TableColumn]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class LightTables:
+class OrganLight:
     """Light of the plants of a scene: Arrow tables with the columns of `LIGHT_TABLES`.
 
     Attributes:
@@ -120,7 +121,7 @@ def light_tables(
     frame: int | None = None,
     options: LightOptions | None = None,
     on_stage: Callable[[str], None] | None = None,
-) -> LightTables:
+) -> OrganLight:
     """Trace the light that the plants of a frame's scene absorb, from sun and sky; a flash is left out.
 
     Args:
@@ -158,7 +159,7 @@ def light_tables(
         hours.append(length or 0.0)
     if moments is not None:
         rows["day"] = [{"frame": spec.index} | row for row in organs.day_rows(parts, hours)]
-    return LightTables(
+    return OrganLight(
         **{name: rows_table(rows[name], column_types(table)) for name, table in LIGHT_TABLES.items()}
     )
 
@@ -168,7 +169,7 @@ def check_light_output(folder: Path, file_format: str) -> None:
     check_can_write(folder, table_files(LIGHT_TABLES, file_format))
 
 
-def write_light(tables: LightTables, folder: str | Path, file_format: str = "parquet") -> tuple[Path, ...]:
+def write_light(tables: OrganLight, folder: str | Path, file_format: str = "parquet") -> tuple[Path, ...]:
     """Write the tables as `.parquet` or `.csv` into a folder, all or none; `day` only if it has rows.
 
     Raises:
@@ -223,7 +224,9 @@ def _skies(
         return
     for moment in moments:
         total = moment.direct_lx + moment.diffuse_lx
-        sky = renderer.sky_under(
+        sky = sky_under_daylight(
+            renderer.builder(spec),
+            renderer.setups.at(spec),
             spec,
             direct_lx=moment.direct_lx,
             diffuse_lx=moment.diffuse_lx,
