@@ -111,11 +111,12 @@ def test_black_leaves_follow_beer_and_lambert(horizontal):
 def test_grey_level_leaves_follow_two_streams():
     leaf_area_index, r, t = 1.5, 0.3, 0.4
     scene = canopy(grey("leaf", r, t), leaf_area_index, daylight(), horizontal=True)
-    power, _ = watts(absorbed_light(scene, target_error=0.015))
+    power, error = watts(absorbed_light(scene, target_error=0.01))
     k = np.sqrt((1.0 - t) ** 2 - r**2)
     passing = k / (k * np.cosh(k * leaf_area_index) + (1.0 - t) * np.sinh(k * leaf_area_index))
     expected = 16.0 * PAR_NM * (np.pi * RADIANCE + 0.8 * BEAM) * passing
-    assert power[0] == pytest.approx(expected, rel=0.02)
+    assert power[0] == pytest.approx(expected, abs=0.02 * expected + 2.0 * error[0])
+    assert error[0] < 0.02 * expected
 
 
 def chamber():
@@ -182,6 +183,7 @@ def test_organs_agree_with_the_path_tracer_of_mitsuba():
 
     z = (density - expected) / np.hypot(error, spread)
     assert np.median(np.hypot(error, spread) / expected) < 0.03
-    assert np.abs(z).max() < 4.0
+    # Errors of 32 replicates, by which samples stop, have wider tails than the normal distribution.
+    assert np.abs(z).max() < 5.0
     assert abs(z.mean()) < 3.0 / np.sqrt(50.0)
     assert 0.6 < z.std() < 1.4
