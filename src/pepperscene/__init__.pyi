@@ -3,6 +3,10 @@ from .building.execution.job import BuildOptions as BuildOptions
 from .building.execution.progress_bar import ProgressBar as ProgressBar
 from .building.execution.single_frame import render_frame as render_frame
 from .building.scenes.frame_renderer import FrameRenderer as FrameRenderer
+from .building.scenes.light_options import LightOptions as LightOptions
+from .building.scenes.light_tables import OrganLight as OrganLight
+from .building.scenes.light_tables import light_tables as light_tables
+from .building.scenes.light_tables import write_light as write_light
 from .building.scenes.plants import GrownPlant as GrownPlant
 from .building.scenes.plants import grow_plant as grow_plant
 from .building.scenes.trait_tables import PlantTraits as PlantTraits
@@ -94,6 +98,9 @@ from .recipe.views.workspace import lattice_poses as lattice_poses
 from .recipe.views.workspace import random_poses as random_poses
 from .render import Renderer as Renderer
 from .render import render_scene as render_scene
+from .render.absorbed import AbsorbedLight as AbsorbedLight
+from .render.absorbed import LightTracer as LightTracer
+from .render.absorbed import absorbed_light as absorbed_light
 from .render.viewpoints import FruitObserver as FruitObserver
 from .render.viewpoints import fruit_visibility as fruit_visibility
 from .render.viewpoints.planners import PlannerComparison as PlannerComparison

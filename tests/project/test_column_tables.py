@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from itertools import groupby
 from pathlib import Path
 
+from pepperscene.building.scenes.light_tables import LIGHT_TABLES
 from pepperscene.building.scenes.trait_tables import TABLES
 from pepperscene.dataset.store.manifest import FRUIT_TABLE, TableColumn
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "tables.md"
 SECTIONS = {"## Fruit of the frames": FRUIT_TABLE} | {f"### `{name}`": TABLES[name] for name in TABLES}
+SECTIONS |= {f"### `{name}` of light": table for name, table in LIGHT_TABLES.items()}
 """Headings of the page, and the columns of the table below each of them."""
 _HEAD = "| column | type | meaning |\n|---|---|---|\n"
 
@@ -43,12 +45,12 @@ def test_columns_with_a_unit_name_it() -> None:
     """A length, an area, a volume or an angle has its unit at the end of the name."""
     plain = {
         "along", "approach", "approach_world", "cut_u", "cut_v", "ripeness", "visible_fraction", "leaf_age",
-        "leaf_area_index",
+        "leaf_area_index", "red_far_red",
     }  # fmt: skip
     for table in SECTIONS.values():
         for name, column in table.items():
             if column.kind == "double" and re.sub("_[xyz]$", "", name) not in plain:
-                assert re.search("_(m|m2|m3|deg)$", name), name
+                assert re.search("_(m|m2|m3|deg|W|s|h|lx)$", name), name
 
 
 if __name__ == "__main__":

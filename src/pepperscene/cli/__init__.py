@@ -4,7 +4,7 @@ Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix
 plus the number of the signal that interrupted the command.
 """
 
-from pepperscene.cli import building, datasets, learning, machine, tasks, tuning, viewpoints
+from pepperscene.cli import building, datasets, learning, light, machine, tasks, tuning, viewpoints
 from pepperscene.cli.application import app, main
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "building",
     "datasets",
     "learning",
+    "light",
     "machine",
     "main",
     "tasks",

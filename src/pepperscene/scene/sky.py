@@ -34,7 +34,8 @@ _ROWS: Final = 256  # chosen: 0.7 degrees a texel, finer than clouds seen out of
 _MAX_SUNLIGHT_LX: Final = 1e6
 """On a plane that faces the sun. Chosen: seven times what the sun gives above the atmosphere (133,000 lx;
 Darula, Kittler and Gueymard 2005, Solar Energy 79:559), and far from where the renderer's numbers end."""
-_MAX_SUN_FRACTION: Final = 0.99  # the floor lights the horizon with at least the rest
+MAX_SUN_FRACTION: Final = 0.99
+"""The floor lights the horizon with at least the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,8 +247,8 @@ def _check_arguments(
 ) -> None:
     if not 0.0 <= illuminance_lx < np.inf:
         raise ValueError(f"illuminance_lx must be at least 0, not {illuminance_lx}")
-    if not 0.0 <= sun_fraction <= _MAX_SUN_FRACTION:
-        raise ValueError(f"sun_fraction must be in [0, {_MAX_SUN_FRACTION}], not {sun_fraction}")
+    if not 0.0 <= sun_fraction <= MAX_SUN_FRACTION:
+        raise ValueError(f"sun_fraction must be in [0, {MAX_SUN_FRACTION}], not {sun_fraction}")
     if not 0.0 <= cloud_cover <= 1.0:
         raise ValueError(f"cloud_cover must be in [0, 1], not {cloud_cover}")
     if not 0.0 <= leaf_area_index <= MAX_LEAF_AREA_INDEX:

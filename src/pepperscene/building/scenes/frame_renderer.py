@@ -20,11 +20,12 @@ from pepperscene.building.scenes.optics import (
 )
 from pepperscene.building.scenes.scene_builder import NearPlants, NearScene, SceneBuilder
 from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
+from pepperscene.building.scenes.skies import sky_above
 from pepperscene.building.scenes.turning import TurnableScenes, sky_at, turn_metadata, turn_of
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import OUTPUTS, needs_surfaces
-from pepperscene.recipe.plan import FrameSpec, Stream, frame_seed, random_generator
+from pepperscene.recipe.plan import FrameSpec, frame_seed
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.camera_views import CameraViews
 from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
@@ -82,8 +83,8 @@ class FrameRenderer:
         setups: what each frame depends on.
         views: the cameras of the frames.
         culled: whether triangles that affect no frame are left out of scenes; False is for comparison. Scenes
-            are never culled if views depend on the plants, if there are lamps, or a stand, which cameras see from
-            all sides.
+            are never culled if views depend on the plants, if there are lamps, or if there is a stand, which
+            cameras see from all sides.
 
     Args:
         recipe: a recipe, its resolved form, a shipped name or a path.
@@ -296,22 +297,18 @@ class FrameRenderer:
         return sky_at(self._skies[key], turn_of(spec, setup))
 
     def _make_sky(self, spec: FrameSpec, setup: FrameSetup) -> Sky | None:
-        from pepperscene.scene import leaf_area_index, partly_cloudy_sky
-
         light = setup.recipe.daylight
         if light is None or light.illuminance_lx == 0:
             return None
-        builder = self.builder(spec)
-        plants = [plant.mesh for plant in builder.plants(spec.set)]
-        return partly_cloudy_sky(
-            random_generator(self.recipe.seed, Stream.SKY, spec.set),
+        return sky_above(
+            self.builder(spec),
+            setup,
+            spec,
             illuminance_lx=light.illuminance_lx,
             sun_azimuth_rad=light.sun_azimuth_rad,
             sun_elevation_rad=light.sun_elevation_rad,
             sun_fraction=light.sun_fraction,
             cloud_cover=light.cloud_cover,
-            cover=setup.cover,
-            leaf_area_index=leaf_area_index(plants, builder.row, builder.greenhouse),
         )
 
     def builder(self, spec: FrameSpec) -> SceneBuilder:

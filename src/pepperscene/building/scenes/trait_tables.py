@@ -7,7 +7,7 @@ that was left out of the row because it was deep in another (see `resolve_contac
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -158,9 +158,28 @@ def scene_traits(scene: Scene, ground_area_m2: float) -> PlantTraits:
 
 def check_traits_output(folder: Path, file_format: str) -> None:
     """Raise `ArgumentError` or `OutputError` if traits cannot be written in a format into a folder."""
+    check_can_write(folder, table_files(TABLES, file_format))
+
+
+def table_files(names: Iterable[str], file_format: str) -> list[str]:
+    """Names of the files of tables; raises `ArgumentError` if the format is unknown."""
     if file_format not in FILE_FORMATS:
         raise ArgumentError("format", f"must be {' or '.join(FILE_FORMATS)}, not {file_format!r}")
-    check_can_write(folder, [f"{name}.{file_format}" for name in TABLES])
+    return [f"{name}.{file_format}" for name in names]
+
+
+def encode_table(table: pyarrow.Table, file_format: str) -> bytes:
+    """The file of a table in one of `FILE_FORMATS`."""
+    import pyarrow
+    from pyarrow import csv, parquet
+
+    stream = pyarrow.BufferOutputStream()
+    if file_format == "csv":
+        csv.write_csv(table, stream, csv.WriteOptions(quoting_style="needed"))
+    else:
+        parquet.write_table(table, stream, compression="zstd")
+    content: bytes = stream.getvalue().to_pybytes()
+    return content
 
 
 def write_traits(traits: PlantTraits, folder: str | Path, file_format: str = "parquet") -> tuple[Path, ...]:
@@ -178,18 +197,8 @@ def write_traits(traits: PlantTraits, folder: str | Path, file_format: str = "pa
         InputError: the format is unknown.
         OutputError: a file cannot be written.
     """
-    import pyarrow
-    from pyarrow import csv, parquet
-
     check_traits_output(Path(folder), file_format)
-    files = {}
-    for name in TABLES:
-        stream, table = pyarrow.BufferOutputStream(), getattr(traits, name)
-        if file_format == "csv":
-            csv.write_csv(table, stream, csv.WriteOptions(quoting_style="needed"))
-        else:
-            parquet.write_table(table, stream, compression="zstd")
-        files[f"{name}.{file_format}"] = stream.getvalue().to_pybytes()
+    files = {f"{name}.{file_format}": encode_table(getattr(traits, name), file_format) for name in TABLES}
     return write_files(Path(folder), files)
 
 

@@ -135,7 +135,7 @@ class FrameTables:
     """
 
     scene: LightScene
-    rays: CameraRays
+    rays: Any  # `CameraRays`; None for meters on surfaces
     flash: FlashSampler | None
     sky: SkyTables | None
     lamps: LampSampler | None
@@ -166,7 +166,7 @@ class FrameTables:
 
 def frame_tables(
     scene: LightScene,
-    rays: CameraRays,
+    rays: CameraRays | None,
     response: SpectralResponse,
     flash: Flash | None,
     sky: SkyTables | None,
@@ -212,7 +212,7 @@ def frame_tables(
         rays=rays,
         lamps=lamps,
         lamp_optics=lamp_optics,
-        flash=FlashSampler(flash, rays) if flash is not None and has_flash else None,
+        flash=FlashSampler(flash, rays) if flash and rays and has_flash else None,
         sky=sky,
         flash_optics=scene.optics.by_channel(weights(reference)),
         sun_optics=scene.optics.by_channel(weights(sun)) if sun is not None and sun_is_direct else None,

@@ -132,6 +132,14 @@ class Samples:
         start, direction = rays.sample_rays(self.pose, column, row, point, self.next_2d)
         self.ray: Any = mi.Ray3f(start, direction)
 
+    @classmethod
+    def on_surfaces(cls, tables: FrameTables, sequence: OwenSobol) -> Samples:
+        """Samples that start on surfaces, without a camera."""
+        samples = cls.__new__(cls)
+        samples.tables, samples.sequence, samples.ray = tables, sequence, None
+        samples.next_1d, samples.next_2d = sequence.next_1d, sequence.next_2d
+        return samples
+
     def subset(self, lanes: Any) -> Samples:
         """Some lanes of the wavefront, without their camera rays; the next random numbers are the same."""
         mi, dr = mitsuba_modules()

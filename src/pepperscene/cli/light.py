@@ -1,0 +1,38 @@
+"""The command `light`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pepperscene.building.scenes.light_options import LightOptions
+from pepperscene.cli.application import RecipeArgument, SeedOption, SetOption, command
+from pepperscene.cli.building import FrameOption
+from pepperscene.cli.progress import echo_progress
+
+
+@command
+def light(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder of the tables; created if missing.")],
+    recipe: RecipeArgument = "demo",
+    frame: FrameOption = None,
+    options: LightOptions,
+    form: Annotated[
+        str, typer.Option("--format", metavar="parquet|csv", help="Format of the files.")
+    ] = "parquet",
+    seed: SeedOption = None,
+    set: SetOption = None,
+) -> None:
+    """Write the light that each organ, plant, layer and row absorbs as tables, at a moment or over a day."""
+    from pepperscene.building.scenes.light_tables import check_light_output, light_tables, write_light
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
+
+    check_light_output(out, form)
+    resolved = resolve_recipe(recipe, parse_changes(set or ()), seed)
+    tables = light_tables(resolved, frame, options, echo_progress)
+    typer.echo(f"{tables.times.num_rows:,} times, {tables.organs.num_rows:,} rows of organs")
+    for path in write_light(tables, out, form):
+        typer.echo(path)
