@@ -23,9 +23,10 @@ from pepperscene.scene import Scene, Sky
 from pepperscene.spectra.wavebands import Waveband, parse_wavebands
 
 DEFAULT_BANDS: Final = ("par",)
-_ROUND: Final = 8  # chosen: samples of a replicate between two estimates of the error
-_LEAST_ROUNDS: Final = 2
-"""Chosen: rare light is not taken for missing light too early."""
+_ROUND: Final = 8  # chosen: samples of a replicate that are traced at a time
+_PILOT_ROUNDS: Final = 2
+"""Chosen: rare light is seldom taken for missing light."""
+_PILOT_SALT: Final = 0x3C6EF372  # chosen: the pilot has other random numbers than the samples that count
 _MOST_ROUNDS: Final = 256  # chosen: 65,536 samples of an organ
 _OTHERS: Final = 4.0  # chosen: error of organs that are neither leaves nor fruit, over that of these
 _LEAST_ERROR, _MOST_ERROR = 0.001, 1.0
@@ -102,12 +103,12 @@ def absorbed_light(
     """Trace the light that organs absorb; for several skies keep a `LightTracer`.
 
     Args:
-        scene: with surfaces. Its sky and sun light it, and not the flash of any camera. It is lit as it is:
-            a row without neighbours has light from all sides.
+        scene: with surfaces. Its sky, sun and lamps light it, but no lamp that flashes or moves with a
+            camera. It is lit as it is: a row without neighbours has light from all sides.
         bands: names of `WAVEBANDS`, texts such as "red_edge=700-740", or bands.
         measured: "absorbed", or "received": all light that arrives at both sides of the surfaces.
-        target_error: standard error at which tracing stops, over the photons that a leaf or fruit measures
-            in the first band, or over the median of these if that is more. Other organs have four times that.
+        target_error: standard error that tracing aims at, over the photons that a leaf or fruit measures in
+            the first band, or over the median of these if that is more. Other organs have four times that.
         seed: of the samples.
 
     Raises:
@@ -149,7 +150,7 @@ class LightTracer:
     ) -> AbsorbedLight:
         """Trace light under a sky, or under that of the scene; see `absorbed_light` for other arguments.
 
-        `on_progress` gets the share of the organs that are done.
+        `on_progress` gets the share of the samples that are done.
 
         Raises:
             ArgumentError: the target is not valid.
@@ -158,32 +159,32 @@ class LightTracer:
         scene = self.scene if sky == "scene" else replace(self.scene, sky=sky)
         tables, count, bands = meter_tables(self._kernel, scene, self.bands), len(self.instances), self.bands
         sums, samples = np.zeros((2 * len(bands), REPLICATES, count)), np.zeros(count, np.intp)
-        # Organs whose error is too large take more samples, round by round.
-        left = np.arange(count if tables.has_lights else 0)
-        for number in range(_MOST_ROUNDS):
-            if not left.size:
-                break
+        # Samples that decide how many are taken do not count: where by chance they found little light, they
+        # also found little error, so that both would be too low.
+        rounds = np.zeros(count, np.intp)
+        if tables.has_lights:
+            size, pilot_seed = _PILOT_ROUNDS * _ROUND, (seed ^ _PILOT_SALT) & 0xFFFFFFFF
+            pilot = self._meters.measure(tables, self.instances, 0, size, pilot_seed, measured)
+            rounds = self._needed_rounds(pilot[len(bands)] / size, target_error)
+        for number in range(int(rounds.max(initial=0))):
+            left = np.flatnonzero(rounds > number)
             more = self._meters.measure(tables, self.instances[left], number * _ROUND, _ROUND, seed, measured)
             sums[:, :, left] += more
             samples[left] += _ROUND
-            if number + 1 < _LEAST_ROUNDS:
-                continue
-            left = left[self._is_unsure(sums[len(bands)], samples, target_error)[left]]
             if on_progress is not None:
-                on_progress(1.0 - len(left) / count)
+                on_progress(float(samples.sum() / (_ROUND * rounds.sum())))
         area = self._meters.area_m2[self.instances]
         sums *= area / np.maximum(samples, 1)
         shape = 2, len(bands), REPLICATES, count
         return AbsorbedLight(bands, self.instances, area, samples * REPLICATES, sums.reshape(shape))
 
-    def _is_unsure(
-        self, photons: NDArray[np.float64], samples: NDArray[np.intp], target_error: float
-    ) -> NDArray[np.bool_]:
-        """`(n,)` whether the error of sums of replicates is above the target."""
-        density = photons / samples
+    def _needed_rounds(self, density: NDArray[np.float64], target_error: float) -> NDArray[np.intp]:
+        """`(n,)` rounds until the error is about the target, from photons of a pilot `(REPLICATES, n)`."""
         mean, error = density.mean(axis=0), density.std(axis=0, ddof=1) / np.sqrt(REPLICATES)
-        typical = np.median(mean[self._tolerance == 1.0])
-        return np.asarray(error > target_error * self._tolerance * np.maximum(mean, typical))
+        target = target_error * self._tolerance * np.maximum(mean, np.median(mean[self._tolerance == 1.0]))
+        ratio = np.divide(error, target, out=np.zeros_like(error), where=target > 0.0)
+        rounds = np.ceil(_PILOT_ROUNDS * ratio**2)
+        return np.asarray(np.clip(rounds, 1, _MOST_ROUNDS), np.intp)
 
 
 def check_target(target_error: float) -> None:

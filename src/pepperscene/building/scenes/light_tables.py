@@ -83,7 +83,9 @@ LIGHT_TABLES: Final[Mapping[str, Mapping[str, TableColumn]]] = {
         "hours_h": TableColumn("double", "part of the day that this time stands for; null without a day"),
         "sun_elevation_deg": TableColumn("double", "of the sun above the horizon; null without a sun"),
         "sun_azimuth_deg": TableColumn("double", "of the sun in the scene, counter-clockwise from *x*"),
-        "illuminance_lx": TableColumn("double", "of a level plane above the crop, below the cover"),
+        "illuminance_lx": TableColumn(
+            "double", "of a level plane above the crop, below the cover, by daylight"
+        ),
     },
     "day": {
         "frame": _TIME["frame"],
@@ -122,7 +124,9 @@ def light_tables(
     options: LightOptions | None = None,
     on_stage: Callable[[str], None] | None = None,
 ) -> OrganLight:
-    """Trace the light that the plants of a frame's scene absorb, from sun and sky; a flash is left out.
+    """Trace the light that the plants of a frame's scene absorb, from sun, sky and the scene's lamps.
+
+    Lamps that flash, or are fixed to the camera, are left out.
 
     Args:
         recipe: a recipe, its resolved form, a shipped name or a path.
@@ -200,7 +204,7 @@ def lit_scene(renderer: FrameRenderer, spec: FrameSpec, nm: tuple[float, float])
 
     built = renderer.builder(spec).scene(spec.set, spec.rotation)
     surfaces, sky = renderer.optics(spec, nm)
-    return assemble_scene(built.mesh, surfaces, sky, built.skeleton)
+    return assemble_scene(built.mesh, surfaces, sky, built.skeleton, renderer.resolved.lamps)
 
 
 def _tracer(

@@ -59,21 +59,23 @@ class FrameLamps:
         return self.irradiance(self.pose[:3, 3] + distance_m * self.pose[:3, 2])
 
 
-def frame_lamps(camera: Camera, scene: Scene, grid_nm: NDArray[np.float64]) -> FrameLamps | None:
-    """The lamps of a camera in a scene; None if there are none that shine on the grid.
+def frame_lamps(camera: Camera | None, scene: Scene, grid_nm: NDArray[np.float64]) -> FrameLamps | None:
+    """The lamps of a camera in a scene; None if there are none.
+
+    Without a camera they are those of the scene that shine all the time.
 
     Raises:
         ValueError: they have more than `MOST_SPECTRA` different spectra.
     """
     found: list[tuple[int, Lamp, bool]] = []
     spectra: list[Spectrum] = []
-    for lamps, moves in ((scene.lamps, False), (camera.lamps, True)):
-        for lamp in lamps:
-            number = next((k for k, known in enumerate(spectra) if _is_same(known, lamp.spectrum)), None)
-            if number is None:
-                number = len(spectra)
-                spectra.append(lamp.spectrum)
-            found.append((number, lamp, moves))
+    placed = [(lamp, False) for lamp in scene.lamps if camera or lamp.pulse_s is None]
+    for lamp, moves in (*placed, *((lamp, True) for lamp in (camera.lamps if camera else ()))):
+        number = next((k for k, known in enumerate(spectra) if _is_same(known, lamp.spectrum)), None)
+        if number is None:
+            number = len(spectra)
+            spectra.append(lamp.spectrum)
+        found.append((number, lamp, moves))
     if len(spectra) > MOST_SPECTRA:
         raise ValueError(
             f"the lamps have {len(spectra)} different spectra, at most {MOST_SPECTRA} are allowed"
@@ -87,10 +89,12 @@ def frame_lamps(camera: Camera, scene: Scene, grid_nm: NDArray[np.float64]) -> F
     return FrameLamps(
         lamps=sorted_lamps,
         at_camera=np.array(at_camera),
-        flux_W=np.array([lamp.flux_W * lamp.duty(camera.exposure_s) for lamp in sorted_lamps]),
+        flux_W=np.array(
+            [one.flux_W * (one.duty(camera.exposure_s) if camera else 1.0) for one in sorted_lamps]
+        ),
         group=np.array(group),
         spectra=table,
-        pose=camera.pose,
+        pose=camera.pose if camera else np.eye(4),
     )
 
 

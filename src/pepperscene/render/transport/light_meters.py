@@ -22,6 +22,7 @@ from pepperscene.geometry import Mesh
 from pepperscene.geometry.surface_samples import area_normals
 from pepperscene.render.arrays import device_array, device_float, device_uint
 from pepperscene.render.kernel.camera import SpectralResponse
+from pepperscene.render.kernel.lamps import frame_lamps
 from pepperscene.render.kernel.scene import LightScene, sky_tables
 from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.surface.scattering import SurfacePoint
@@ -99,17 +100,21 @@ def meter_at(scene: LightScene, si: Any, hit: Any, active: Any, measured: Measur
 
 
 def meter_tables(kernel: LightScene, scene: Scene, bands: Sequence[Waveband]) -> FrameTables:
-    """Kernel data of the lights of a scene in some bands."""
+    """Kernel data of the lights of a scene in some bands; lamps that flash are left out."""
     first, last = band_range(bands)
     grid = np.arange(first, last + STEP_NM / 2, STEP_NM)
-    light: NDArray[np.float64] = np.ones(grid.size)
+    lamps = frame_lamps(None, scene, grid)
+    lights = [] if lamps is None else list(lamps.emitted)
     if scene.sky is not None:
         light = np.asarray(scene.sky.received() @ scene.sky.radiance.at(grid))
         if scene.sky.sun is not None:
             light = light + scene.sky.sun.irradiance.at(grid)
+        lights.append(light)
+    # All lights equally: which of them is strong differs from place to place.
+    light = np.sum([light / light.mean() for light in lights if light.any()] or [np.ones(grid.size)], axis=0)
     density = _density(light * grid, bands, grid)
     within = np.asarray(density[:, None] > 0.0, np.float64)
-    response = SpectralResponse(grid, within, np.zeros(grid.size), density)
+    response = SpectralResponse(grid, within, np.zeros(grid.size), density, lamps=lamps)
     return frame_tables(kernel, None, response, None, sky_tables(scene, grid))
 
 

@@ -134,9 +134,9 @@ class Samples:
 
     @classmethod
     def on_surfaces(cls, tables: FrameTables, sequence: OwenSobol) -> Samples:
-        """Samples that start on surfaces, without a camera."""
+        """Samples that start on surfaces, without a camera, and so without lights that move with one."""
         samples = cls.__new__(cls)
-        samples.tables, samples.sequence, samples.ray = tables, sequence, None
+        samples.tables, samples.sequence, samples.ray, samples.pose = tables, sequence, None, None
         samples.next_1d, samples.next_2d = sequence.next_1d, sequence.next_2d
         return samples
 
