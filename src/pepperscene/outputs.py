@@ -1,7 +1,7 @@
 """The outputs of a render, each declared once.
 
-`pepperscene.render.photographs` and `.aov.label_images` register how they are rendered, and
-`pepperscene.review.check` how they are checked beyond their limits.
+`pepperscene.render.photographs`, `.aov.label_images` and `.aov.light_images` register how they are rendered,
+and `pepperscene.review.check` how they are checked beyond their limits.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.errors import ArgumentError
 from pepperscene.user_files import FileKind
 
-Need = Literal["light", "surfaces", "colours", "bands", "stereo", "depth_camera", "tissue"]
+Need = Literal["light", "surfaces", "colours", "bands", "stereo", "depth_camera", "tissue", "meters"]
 """What an output can need: traced light, the spectra of the surfaces, a sensor with colours (or a monochrome
-one) or with bands, the stereo partner of the camera, a depth camera, the contents of tissue."""
+one) or with bands, the stereo partner of the camera, a depth camera, the contents of tissue, or meters on
+surfaces."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,16 @@ def _trait(name: str, unit: str, meaning: str, field: str, most: float = _LARGES
     """An output of what the tissue behind a pixel's centre holds."""
     options |= {"padding": np.nan, "limits": (0.0, most), "needs": frozenset({"surfaces", "tissue"})}
     return Output(name, "(h, w)", "float32", unit, meaning, field=field, **options)
+
+
+def _light(name: str, meaning: str) -> Output:
+    """An output of the light at the surface behind a pixel's centre."""
+    options: dict[str, Any] = {
+        "padding": np.nan,
+        "limits": (0.0, _LARGEST),
+        "needs": frozenset({"surfaces", "meters"}),
+    }
+    return Output(name, "(h, w)", "float32", "W m-2", meaning, **options)
 
 
 _PHOTO: Final[frozenset[Need]] = frozenset({"light", "colours"})
@@ -314,6 +325,8 @@ _ALL: Final = (
         1.0,
         in_runs=True,
     ),
+    _light("irradiance", "PAR that arrives at both sides of the surface, unfiltered; nan in the sky"),
+    _light("absorbed", "PAR that the surface absorbs, likewise, see [below](#absorbed-light)"),
     Output(
         "bands",
         "(h, w, c)",
@@ -357,6 +370,7 @@ COLOUR_OUTPUTS: Final = outputs_with("colours")
 """Outputs of sensors with colours, or monochrome ones: a sensor with bands has none of them."""
 STEREO_OUTPUTS: Final = outputs_with("stereo")
 DEPTH_CAMERA_OUTPUTS: Final = outputs_with("depth_camera")
+METER_OUTPUTS: Final = outputs_with("meters")
 TRAIT_OUTPUTS: Final = outputs_with("tissue")
 """Outputs of what the tissue behind a pixel's centre holds."""
 

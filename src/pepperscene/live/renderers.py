@@ -12,7 +12,7 @@ from pepperscene.camera import Camera
 from pepperscene.live.state import SceneState
 from pepperscene.materials import Surface
 from pepperscene.recipe.plan import FrameSpec
-from pepperscene.recipe.resolve.load_camera import surface_wavelengths
+from pepperscene.recipe.resolve.load_camera import surface_range
 from pepperscene.render import Renderer
 from pepperscene.scene import Scene
 
@@ -69,8 +69,7 @@ class StateRenderers:
         """That of a state; if light is `traced`, for a camera, by default those of the recipe."""
         nm = None
         if traced and camera is not None:
-            detected = surface_wavelengths(camera.sensor)
-            nm = float(detected[0]), float(detected[-1])
+            nm = surface_range([camera.sensor])
         held = self._held.get(traced)
         if held is not None and held.state is state and held.wavelengths == nm:
             return held

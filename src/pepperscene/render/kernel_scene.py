@@ -229,7 +229,7 @@ class KernelScene:
         return self._light[key]
 
     def imager_scene(self, first_nm: float, last_nm: float) -> LightScene:
-        """As `light_scene`, for the imagers of a depth camera, beside that of the camera.
+        """As `light_scene`, for the imagers of a depth camera or meters of light, beside that of the camera.
 
         Both are kept, because a frame traces both, and making one takes as long as a draft.
         """

@@ -26,11 +26,13 @@ from pepperscene.frame import Frame
 from pepperscene.outputs import (
     DEFAULT_OUTPUTS,
     DEPTH_CAMERA_OUTPUTS,
+    METER_OUTPUTS,
     OUTPUTS,
     STEREO_OUTPUTS,
     check_outputs,
 )
 from pepperscene.render.aov.label_images import SceneLabels
+from pepperscene.render.kernel.camera import label_rays
 from pepperscene.render.kernel.split_scene import SplitScene
 from pepperscene.render.kernel_scene import KernelScene
 from pepperscene.render.metering import metered_light, metered_subject
@@ -88,7 +90,8 @@ class _Request:
     scene: Scene  # under the sky of the frame
 
     def seeds(self, branch: int) -> np.random.SeedSequence:
-        """A branch of the frame's seed: 0 noise, 1 samples, 2 both of the partner, 3 of the depth camera."""
+        """A branch of the frame's seed: 0 noise, 1 samples, 2 both of the partner, 3 of the depth camera, 4 of
+        meters."""
         return np.random.SeedSequence(self.seed).spawn(branch + 1)[branch]
 
 
@@ -149,7 +152,8 @@ class Renderer:
         request = _Request(requested, camera, partners, quality, seed, self._under(sky))
         images: dict[str, Any] = {}
         # Light first: its kernel scene then serves the ground truth as well.
-        for make in (self._photographs, self._stereo_photograph, self._depth_images, self._ground_truth):
+        light = self._photographs, self._stereo_photograph, self._depth_images, self._metered_light
+        for make in (*light, self._ground_truth):
             made, notes = make(request)
             images |= made
             described |= notes
@@ -197,9 +201,20 @@ class Renderer:
         kernel, scene, quality = self._kernel, request.scene, request.quality
         return depth_camera_images(kernel, scene, request.camera, depth, names, quality, request.seeds(3))
 
+    def _metered_light(self, request: _Request) -> _Made:
+        """The light that surfaces get."""
+        names = [name for name in request.requested if name in METER_OUTPUTS]
+        if not names:
+            return {}, {}
+        from pepperscene.render.aov.light_images import PAR, light_images
+
+        rays, seed = label_rays(self._kernel.rays(request.camera), request.camera), request.seeds(4)
+        kernel = self._kernel.imager_scene(PAR.first_nm, PAR.last_nm)
+        return light_images(kernel, request.scene, rays, names, int(seed.generate_state(1)[0])), {}
+
     def _ground_truth(self, request: _Request) -> _Made:
         """What rays through the pixels find, and the instances in view."""
-        if all(OUTPUTS[name].traced for name in request.requested):
+        if all(OUTPUTS[name].traced or name in METER_OUTPUTS for name in request.requested):
             return {}, {}
         images, instances = self._labels.images(
             request.requested, request.camera, request.partners, request.scene

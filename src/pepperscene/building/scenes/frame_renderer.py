@@ -30,7 +30,7 @@ from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.camera_views import CameraViews
 from pepperscene.recipe.resolve.frame_setups import FrameSetup, FrameSetups
 from pepperscene.recipe.resolve.load import resolve_recipe
-from pepperscene.recipe.resolve.load_camera import surface_wavelengths
+from pepperscene.recipe.resolve.load_camera import surface_range
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 if TYPE_CHECKING:
@@ -355,13 +355,12 @@ class FrameRenderer:
         prepare: SurfacePreparation | None = None,
         worker: FunctionWorker | None = None,
     ) -> tuple[dict[str, Surface], Sky | None]:
-        """The surfaces of a scene over the wavelengths that any camera of its frames detects, and its sky."""
+        """The surfaces of a scene over PAR and what any camera of its frames detects, and its sky."""
         distinct = {other.optics: other for other in map(self.setups.at, specs)}.values()
         cameras = [camera for other in distinct for camera in lit_cameras(other)]
-        ranges = [surface_wavelengths(camera.sensor) for camera in cameras]
-        first, last = min(nm[0] for nm in ranges), max(nm[-1] for nm in ranges)
+        first, last = surface_range(camera.sensor for camera in cameras)
         surfaces = self._surfaces.surfaces(
-            setup.cultivar, float(first), float(last), worker, setup.recipe.skin_texture, setup.recipe.stand
+            setup.cultivar, first, last, worker, setup.recipe.skin_texture, setup.recipe.stand
         )
         if worker is not None:
             # Its memory is not needed any more, while the row is still being made.

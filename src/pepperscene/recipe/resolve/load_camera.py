@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -135,6 +136,18 @@ def surface_wavelengths(sensor: Sensor) -> NDArray[np.float64]:
             f"is sensitive up to {nm[1]:g} nm, but plant optics are known up to {MAX_WAVELENGTH_NM:g} nm only"
         )
     return np.arange(first, last + GRID_STEP_NM / 2, GRID_STEP_NM)
+
+
+def surface_range(sensors: Iterable[Sensor]) -> tuple[float, float]:
+    """First and last wavelength of surfaces that some sensors see and that light in PAR meets, nm.
+
+    Raises:
+        ValueError: as `surface_wavelengths`.
+    """
+    from pepperscene.camera.lamps.lamp import PAR_NM
+
+    limits = np.array([PAR_NM, *(surface_wavelengths(sensor)[[0, -1]] for sensor in sensors)])
+    return float(limits[:, 0].min()), float(limits[:, 1].max())
 
 
 def _read_calibration(table: CameraTable, where: str | Path, files: NamedFiles) -> CameraCalibration | None:
