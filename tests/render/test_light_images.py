@@ -79,11 +79,9 @@ def check(scene, cameras, radius_m, target_error):
     Stems and calyces have parts inside of others, which no view sees.
     """
     means, seen = means_of_pixels(scene, cameras, radius_m)
-    tracer, is_leaf = (
-        LightTracer(scene),
-        [item.organ_class == OrganClass.LEAF for item in scene.mesh.instances],
-    )
-    compared = (np.array(is_leaf) & (seen > 0.96))[tracer.instances]
+    tracer = LightTracer(scene)
+    is_leaf = [item.organ_class == OrganClass.LEAF for item in scene.mesh.instances]
+    compared = (np.array(is_leaf) & (seen > 0.98))[tracer.instances]
     for name, measured in MEASURED.items():
         light = tracer.trace(measured=measured, target_error=target_error)
         expected, error = light.amounts.watts[0] / light.area_m2, light.amounts.watts_error[0] / light.area_m2
@@ -103,7 +101,7 @@ def test_pixels_of_leaves_are_those_of_the_tables():
         leaf.apply_transform(trimesh.transformations.random_rotation_matrix(rng.uniform(size=3)))
         parts.append(body(leaf.apply_translation(rng.uniform(-0.08, 0.08, 3)), "leaf"))
     scene = assemble_scene(concatenate_meshes(parts), {"leaf": grey("leaf")}, SKY)
-    assert check(scene, views(np.zeros(3), 0.4, 24, 100, 100), 0.003, 0.005) >= 5
+    assert check(scene, views(np.zeros(3), 0.4, 24, 100, 100), 0.003, 0.005) >= 4
 
 
 @pytest.mark.long

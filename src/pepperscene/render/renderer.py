@@ -90,8 +90,7 @@ class _Request:
     scene: Scene  # under the sky of the frame
 
     def seeds(self, branch: int) -> np.random.SeedSequence:
-        """A branch of the frame's seed: 0 noise, 1 samples, 2 both of the partner, 3 of the depth camera, 4 of
-        meters."""
+        """A branch: 0 noise, 1 samples, 2 both of the partner, 3 of the depth camera, 4 of the meters."""
         return np.random.SeedSequence(self.seed).spawn(branch + 1)[branch]
 
 
