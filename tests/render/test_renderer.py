@@ -12,7 +12,7 @@ from processes import run_python
 
 from pepperscene.camera import Partners, expected_electrons
 from pepperscene.errors import InputError
-from pepperscene.outputs import BAND_OUTPUTS, DEFAULT_OUTPUTS, OUTPUTS
+from pepperscene.outputs import BAND_OUTPUTS, DEFAULT_OUTPUTS, METER_OUTPUTS, OUTPUTS
 from pepperscene.render import (
     QUALITIES,
     Renderer,
@@ -28,7 +28,7 @@ from pepperscene.scene import assemble_scene
 
 # Harvest needs the plants' skeleton, and bands another sensor.
 ALL = tuple(name for name in OUTPUTS if name != "harvest" and name not in BAND_OUTPUTS)
-LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced)
+LABELS = tuple(name for name in ALL if not OUTPUTS[name].traced and name not in METER_OUTPUTS)
 IMAGERS = ("imager_left", "imager_right")
 
 
@@ -97,7 +97,7 @@ def test_renderer_can_be_reused_for_another_pose_lens_or_image_size(scene, used,
 def test_output_does_not_depend_on_the_other_outputs(scene, frame):
     another = Renderer(scene)
     traced = (["colour"], ["raw"], ["electrons"], ["colour_stereo"], list(IMAGERS))
-    for names in (*traced, *([name] for name in LABELS)):
+    for names in (*traced, *([name] for name in (*LABELS, *METER_OUTPUTS))):
         alone = digests(another.render(camera(), names, "standard", 5, partners=partners()))
         assert alone == {name: digests(frame)[name] for name in names}
 
@@ -105,7 +105,7 @@ def test_output_does_not_depend_on_the_other_outputs(scene, frame):
 def test_another_seed_changes_noise_but_no_labels(used, frame):
     other = used.render(camera(), ALL, "standard", 6, partners=partners())
     same = {name: digests(other)[name] == digests(frame)[name] for name in ALL}
-    assert same == {name: not OUTPUTS[name].traced for name in ALL}
+    assert same == {name: name in LABELS for name in ALL}
     # Before the sensor noise the two agree to a few per cent.
     difference = np.abs(other["electrons"] - frame["electrons"]).mean()
     assert 0.0 < difference < 0.05 * frame["electrons"].mean()
