@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from pepperscene.render.arrays import device_array, device_uint
-from pepperscene.render.transport.samples import OwenSobol
+from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.variant import mitsuba_modules
 
 SIGNIFICANCE = 1e-3

@@ -27,7 +27,8 @@ from pepperscene.render.surface.optics import STEP_NM
 from pepperscene.render.surface.scattering import SurfacePoint
 from pepperscene.render.transport.channel_paths import continued_light
 from pepperscene.render.transport.lights import FrameTables, frame_tables
-from pepperscene.render.transport.samples import OwenSobol, Samples, SampleWavelengths
+from pepperscene.render.transport.owen_sobol import OwenSobol
+from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 from pepperscene.spectra import photons_per_joule
