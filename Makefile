@@ -49,9 +49,9 @@ check: $(VENV)/.installed-tests
 test: $(VENV)/.installed-tests
 	PEPPERSCENE_SINCE=$(SINCE) $(PYTEST)
 
-# First what takes minutes, with all cores for each test; then the other tests that draw examples, with many of them.
+# First what takes minutes; then the other tests that draw examples, with many of them.
 test-long: $(VENV)/.installed-docs
-	$(BIN)/python -m pytest -m long --timeout=0 --hypothesis-profile=long
+	$(PYTEST) -m long --timeout=0 --hypothesis-profile=long
 	$(PYTEST) -m 'not long and hypothesis' --hypothesis-profile=long
 
 durations:

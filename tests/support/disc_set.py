@@ -14,7 +14,7 @@ from pepperscene.dataset.store.dataset import open_dataset
 from pepperscene.dataset.store.frame_json import checksum_of
 from pepperscene.dataset.store.images import read_image, write_image
 from pepperscene.frame import Frame
-from pepperscene.outputs import TRAIT_OUTPUTS
+from pepperscene.outputs import METER_OUTPUTS, TRAIT_OUTPUTS
 from pepperscene.review.check import check_dataset
 from pepperscene.review.check.one_frame import FrameChecker
 from pepperscene.truth import class_colour, distance_code
@@ -80,7 +80,7 @@ class DiscRenderer(SceneStandIn):
             "imager_right": np.roll(imager, -5, 1),
             "harvest": {"format": "pepperscene harvest 1", "fruit": [], "graph": {"nodes": [], "edges": []}},
             "albedo": np.clip(grey / 255, 0, 1).astype(np.float16),
-            **{name: np.where(hit, 0.5, np.nan).astype(np.float32) for name in TRAIT_OUTPUTS},
+            **{name: np.where(hit, 0.5, np.nan).astype(np.float32) for name in TRAIT_OUTPUTS | METER_OUTPUTS},
         }  # fmt: skip
         if "amodal" in outputs:
             images["amodal"] = {"format": "pepperscene amodal 1", "organs": whole_discs(instance, classes)}

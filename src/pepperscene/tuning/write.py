@@ -135,14 +135,17 @@ def _recipe_content(recipe: Recipe, folder: Path) -> Changes:
     # The file has a name for no white balance, so missing values are left out only afterwards.
     content = _without_none(recipe.model_dump(exclude={"expect"}))
     for *tables, last in FILE_FOLDERS:
-        table: Any = content
+        found: list[Any] = [content]
         for name in tables:
-            table = table.get(name, {})
-        value = table.get(last)
-        if isinstance(value, str) and (
-            value.endswith((".toml", ".yaml", ".yml")) or Path(value).parent != Path(".")
-        ):
-            table[last] = _relative_path(Path(value), folder)
+            # A table, or several of one name.
+            below = [table.get(name, {}) for table in found]
+            found = [table for one in below for table in ([one] if isinstance(one, dict) else one)]
+        for table in found:
+            value = table.get(last)
+            if isinstance(value, str) and (
+                value.endswith((".toml", ".yaml", ".yml")) or Path(value).parent != Path(".")
+            ):
+                table[last] = _relative_path(Path(value), folder)
     return content
 
 
