@@ -80,7 +80,7 @@ def test_opencv_finds_the_corners_of_a_turning_board_where_they_are_projected(st
     corners, numbers, _, markers = cv2.aruco.CharucoDetector(board).detectBoard(
         cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     )
-    assert len(markers) >= 12
+    assert len(markers) >= 10
     assert len(numbers) >= 9
     # OpenCV's board has its origin at the upper left corner, x to the right, y down.
     places = board.getChessboardCorners()[numbers.ravel()] * (1, -1, 0) + (
