@@ -155,5 +155,5 @@ def test_lamps_of_the_room_stay_when_the_plant_turns():
     assert np.array_equal(by_table["class"], by_camera["class"])
     assert np.array_equal(by_table["instance"], by_camera["instance"])
     light = [image["electrons"].reshape(15, 8, 20, 8, -1).mean((1, 3)) for image in images]
-    np.testing.assert_allclose(*light, rtol=0.1, atol=0.02 * light[1].max())
-    assert light[0].mean() == pytest.approx(light[1].mean(), rel=0.005)
+    np.testing.assert_allclose(*light, rtol=0.04, atol=0.01 * light[1].max())
+    assert light[0].mean() == pytest.approx(light[1].mean(), rel=0.002)
