@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_NM: Final = np.arange(380.0, 781.0, 5.0)
+NATURAL_NM: Final = np.arange(380.0, 781.0, 5.0)
+"""Wavelengths of the surfaces, nm."""
 _BLADE_TILE: Final = (64, 64)  # chosen: texels across and along, 2 mm on a leaf
 _FRUIT_TILE: Final = (128, 64)  # chosen: 2 mm on a fruit
 _TILE: Final = (16, 16)  # chosen: of other organs, a few millimetres
@@ -64,9 +65,9 @@ def natural_surfaces(mesh: Mesh) -> dict[str, Surface]:
         raise ArgumentError("colours", problem)
     surfaces: dict[str, Surface] = {}
     for cultivar in mesh.cultivars:
-        surfaces |= organ_surfaces(cultivar, _NM)
+        surfaces |= organ_surfaces(cultivar, NATURAL_NM)
     if not set(mesh.surfaces) <= set(surfaces):
-        surfaces = greenhouse_surfaces(_NM) | surfaces
+        surfaces = greenhouse_surfaces(NATURAL_NM) | surfaces
     return {name: surfaces[name] for name in mesh.surfaces if name in surfaces}
 
 

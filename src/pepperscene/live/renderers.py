@@ -80,6 +80,7 @@ class StateRenderers:
             surfaces, sky = self._surfaces(nm)
             named = {**surfaces, **state.materials}
             scene = replace(scene, surfaces=tuple(named[name] for name in state.surfaces), sky=sky)
+            scene = replace(scene, lamps=self._frames.lamps(self._spec))
         statistics = {
             "contacts": asdict(self._near.built.contacts),
             "geometry": {"triangles": triangles, "of": triangles},

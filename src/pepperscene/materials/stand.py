@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from pepperscene.errors import InputError
 from pepperscene.materials.surface import Surface
 from pepperscene.spectra import read_spectra, read_spectrum
+from pepperscene.spectra.files import spectra_file
+from pepperscene.spectra.measured import read_measured
 from pepperscene.spectra.spectrum import FloatArray
 
 CHART: Final = "chart/colorchecker_iso17321_1"
@@ -59,7 +61,8 @@ def stand_surfaces(
 
     Args:
         wavelength_nm: `(n,)` increasing; the spectra are made for 300 to 1100 nm.
-        pot: a name of `STAND_COLOURS`, or the path of a CSV file of spectra, whose first one is used.
+        pot: a name of `STAND_COLOURS`, or the path of a CSV file, whose first curve is used; see
+            `pepperscene.spectra.measured.read_measured`.
         backdrop: likewise.
 
     Raises:
@@ -84,15 +87,12 @@ def colour_reflectance(colour: str, nm: FloatArray) -> FloatArray:
     if colour in STAND_COLOURS:
         return _interpolate(STAND_COLOURS[colour], nm)
     try:
-        name, spectrum = next(iter(read_spectra(colour, outside="hold").items()))
+        return np.asarray(read_measured(spectra_file(colour)).at(nm)[0])
     except InputError as error:
         if error.where != colour:
             raise
         names = ", ".join(STAND_COLOURS)
         raise InputError(colour, f"is neither a file of spectra nor one of {names}") from None
-    if not (spectrum.values.min() >= 0.0 and spectrum.values.max() <= 1.0):
-        raise InputError(colour, "must be reflectances from 0 to 1", key=f"column {name}")
-    return np.asarray(spectrum.at(nm))
 
 
 def _interpolate(curve: tuple[tuple[float, float], ...], nm: FloatArray) -> FloatArray:

@@ -26,7 +26,11 @@ _OWN_KEYS: Final = {"name", "extends"}  # of recipes and cultivars, which no des
 
 
 def read_measured(
-    file: Path, columns: Sequence[str], *, unit: str | None = None, wavelength_unit: str | None = None
+    file: Path,
+    columns: Sequence[str] | None = None,
+    *,
+    unit: str | None = None,
+    wavelength_unit: str | None = None,
 ) -> Spectrum:
     """Read columns of a user's CSV file as fractions `(k, n)`; the end values hold outside of its range.
 
@@ -36,7 +40,7 @@ def read_measured(
 
     Args:
         file: path of the file.
-        columns: names of k columns.
+        columns: names of k columns; None for the first one after the wavelengths.
         unit: of columns that say none, "fraction" or "percent"; None for that of the TOML file of the same
             stem (see `Provenance`), or fractions.
         wavelength_unit: likewise, "nm" or "um"; None for nanometres.
@@ -55,7 +59,7 @@ def read_measured(
     check_wavelengths(file, nm)
     _check_gaps(file, nm)
     default = unit or _described_unit(file)
-    found = [_column(file, header, name) for name in columns]
+    found = [1] if columns is None else [_column(file, header, name) for name in columns]
     values = [_fractions(file, header[number], rows[:, number], default) for number in found]
     return Spectrum(nm, np.stack(values), "hold")
 

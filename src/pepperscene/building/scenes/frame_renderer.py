@@ -21,7 +21,7 @@ from pepperscene.building.scenes.optics import (
 from pepperscene.building.scenes.scene_builder import NearPlants, NearScene, SceneBuilder
 from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
 from pepperscene.building.scenes.skies import sky_above
-from pepperscene.building.scenes.turning import TurnableScenes, sky_at, turn_metadata, turn_of
+from pepperscene.building.scenes.turning import TurnableScenes, lamps_at, sky_at, turn_metadata, turn_of
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import OUTPUTS, needs_surfaces
@@ -34,7 +34,7 @@ from pepperscene.recipe.resolve.load_camera import surface_range
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera
+    from pepperscene.camera import Camera, Lamp
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.recipe.views.fixed_views import View
@@ -237,7 +237,7 @@ class FrameRenderer:
         surfaces, sky = None, None
         if traced:
             surfaces, sky = optics() if pending is None else pending.result()
-        return self._assembled(near, mesh, surfaces, sky)
+        return self._assembled(spec, near, mesh, surfaces, sky)
 
     def grow(self, spec: FrameSpec) -> NearScene:
         """The objects of a frame's scene, complete."""
@@ -260,15 +260,19 @@ class FrameRenderer:
         self, spec: FrameSpec, near: NearScene, optics: tuple[Mapping[str, Surface], Sky | None] | None
     ) -> AssembledScene:
         """The scene that `assemble` makes of the objects of `grow`, and of `optics` unless for labels."""
-        return self._assembled(
-            near, self._culled_mesh(near, self.frames_of_scene(spec)), *(optics or (None, None))
-        )
+        mesh = self._culled_mesh(near, self.frames_of_scene(spec))
+        return self._assembled(spec, near, mesh, *(optics or (None, None)))
 
     def _culled_mesh(self, near: NearScene, specs: Sequence[FrameSpec]) -> Mesh:
         return self._cull(near.built.mesh, specs) if self.culled else near.built.mesh
 
     def _assembled(
-        self, near: NearScene, mesh: Mesh, surfaces: Mapping[str, Surface] | None, sky: Sky | None
+        self,
+        spec: FrameSpec,
+        near: NearScene,
+        mesh: Mesh,
+        surfaces: Mapping[str, Surface] | None,
+        sky: Sky | None,
     ) -> AssembledScene:
         from pepperscene.scene import assemble_scene
 
@@ -276,7 +280,7 @@ class FrameRenderer:
             "contacts": asdict(near.built.contacts),
             "geometry": {"triangles": len(mesh.faces), "of": len(near.built.mesh.faces)},
         }
-        lamps = self.resolved.lamps if surfaces is not None else ()
+        lamps = self.lamps(spec) if surfaces is not None else ()
         scene = assemble_scene(mesh, surfaces, sky, near.built.skeleton, lamps)
         if near.coarse is not None and self.views.depends_on_scene:
             self.views.continue_in(scene, near.views, near.coarse)
@@ -295,6 +299,10 @@ class FrameRenderer:
         if key not in self._skies:
             self._skies = {key: self._make_sky(spec, setup)}
         return sky_at(self._skies[key], turn_of(spec, setup))
+
+    def lamps(self, spec: FrameSpec) -> tuple[Lamp, ...]:
+        """The lamps of a frame that stand in its scene."""
+        return lamps_at(self.resolved.lamps, turn_of(spec, self.setups.at(spec)))
 
     def _make_sky(self, spec: FrameSpec, setup: FrameSetup) -> Sky | None:
         light = setup.recipe.daylight

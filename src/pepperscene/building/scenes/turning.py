@@ -12,6 +12,7 @@ from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.resolve.frame_setups import FrameSetup
 
 if TYPE_CHECKING:
+    from pepperscene.camera import Lamp
     from pepperscene.scene import Sky
 
 
@@ -35,6 +36,15 @@ def sky_at(sky: Sky | None, turn_rad: float) -> Sky | None:
     from pepperscene.scene import turned_sky
 
     return turned_sky(sky, -turn_rad)
+
+
+def lamps_at(lamps: tuple[Lamp, ...], turn_rad: float) -> tuple[Lamp, ...]:
+    """Lamps of the room in the axes of a plant that has turned."""
+    if not lamps or not turn_rad:
+        return lamps
+    from pepperscene.scene import rotation_about_z
+
+    return tuple(lamp.moved(rotation_about_z(-turn_rad), [0.0, 0.0, 0.0]) for lamp in lamps)
 
 
 class TurnableScenes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,6 +23,7 @@ from pepperscene.version import __version__
 if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.geometry import Mesh
+    from pepperscene.materials import Surface
     from pepperscene.scene import Scene, Skeleton, Sky
     from pepperscene.truth.harvest import FruitTruth
 
@@ -61,6 +62,7 @@ class SceneContents:
         camera: of the frame, or None.
         sky: daylight, or None.
         about: recipe and frame, for the JSON.
+        surfaces: further surfaces by name, those of a stand.
     """
 
     mesh: Mesh
@@ -69,11 +71,12 @@ class SceneContents:
     camera: Camera | None
     sky: Sky | None
     about: Mapping[str, Any]
+    surfaces: Mapping[str, Surface] = field(default_factory=dict)
 
     @cached_property
     def colours(self) -> BakedColours:
         """The natural colours of the mesh."""
-        return bake_colours(self.mesh, natural_surfaces(self.mesh))
+        return bake_colours(self.mesh, {**natural_surfaces(self.mesh), **self.surfaces})
 
     @cached_property
     def bodies(self) -> tuple[HarvestBody, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +14,9 @@ from pepperscene.errors import ArgumentError, InputError
 from pepperscene.export.run import new_folder
 from pepperscene.export.simulators.contents import SceneContents, scene_contents
 from pepperscene.geometry.glb import encode_glb
+from pepperscene.geometry.natural_colours import NATURAL_NM
 from pepperscene.libraries import import_library
+from pepperscene.materials import stand_surfaces
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
@@ -102,7 +105,12 @@ def _contents(
         "frame": spec.index,
     }
     grown = frames.current_scene or frames.scene(spec, traced=False)
-    return scene_contents(grown, view, frames.sky(spec), about)
+    contents = scene_contents(grown, view, frames.sky(spec), about)
+    if (stand := resolved.recipe.stand) is None:
+        return contents
+    surfaces = stand_surfaces(NATURAL_NM, stand.pot_colour, stand.backdrop_colour)
+    del surfaces["chart"]  # a small image has no markers
+    return replace(contents, surfaces=surfaces)
 
 
 def _write(contents: SceneContents, path: Path, suffix: str) -> tuple[Path, ...]:
