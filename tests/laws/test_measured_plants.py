@@ -69,9 +69,15 @@ TABLE_1 = {
 }
 """Distributions in the cultivar file, by their names in Table 1 and Fig. 4."""
 
-TOLERANCE = {"fruit": (0.0, np.radians(0.3)), "F-2 slenderness": (0.008, 0.002)}
+TOLERANCE = {
+    "fruit": (0.0, np.radians(0.3)),
+    "F-2 slenderness": (0.008, 0.002),
+    "L-6": (0.00013, 0.0),
+    "S-8": (0.00013, 0.0),
+}
 """Errors of mean and sd besides the sampling error: fruit is crooked and lobed, so the line between its ends
-differs from the axis of its pose."""
+differs from the axis of its pose. Rows of vertices seldom meet the widest place of a blade: blade by blade,
+meshes are .11 % narrower than what was drawn, .11 to .13 mm."""
 
 BIN_TOLERANCE = {"L-3": 0.015, "S-5": 0.015}
 """Errors of the bins' fractions: midribs differ from the axis of their pose by 1.6 degrees on average, which
