@@ -12,7 +12,7 @@ from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.variant import mitsuba_modules
 
 _FLASH_POINTS: Final = 4  # chosen among 1, 2 and 4: the smallest error for the same time
-_SOFT_LAMP_POINTS: Final = 16  # of many lamps, whose light few samples carry; see benchmarks/lamps.py
+_SOFT_LAMP_POINTS: Final = 32  # of many lamps, whose light few samples carry; see benchmarks/lamps.py
 _GOLDEN: Final = 0.6180339887498949  # of the golden ratio; steps of it fill the unit interval evenly
 TINY: Final = 1e-30  # chosen: below any relevant light or probability, and safe in single precision
 
