@@ -77,6 +77,21 @@ def test_same_seed_gives_the_same_bits(recipe):
     assert not np.array_equal(first, other)
 
 
+def test_light_falls_as_in_the_photograph_of_a_turned_plant():
+    renderer = ps.FrameRenderer(ps.load_recipe("turntable"))
+    spec = renderer.recipe.plan.frame(15)
+    lit, photographed = lit_scene(renderer, spec, (400.0, 700.0)), renderer.scene(spec)
+    assert len(lit.lamps) == len(photographed.lamps) > 0
+    for one, other in zip(lit.lamps, photographed.lamps, strict=True):
+        np.testing.assert_array_equal(one.position_m, other.position_m)
+        np.testing.assert_array_equal(one.rotation, other.rotation)
+    # The cloth and the charts have gone round as well.
+    np.testing.assert_array_equal(lit.mesh.bounds, photographed.mesh.bounds)
+    assert not np.allclose(
+        lit.mesh.bounds, lit_scene(renderer, renderer.recipe.plan.frame(0), (400.0, 700.0)).mesh.bounds
+    )
+
+
 def test_day_is_the_sum_of_its_times(tmp_path):
     weather = tmp_path / "day.csv"
     weather.write_text("time,direct_W_m2,diffuse_W_m2\n11:00,200,200\n13:00,0,200\n")

@@ -72,9 +72,9 @@ def test_means_are_drawn_to_those_of_larger_cells():
     front = shrunk(6.0, 4.0, shrunk(6.0, 4.0, shrunk(6.0, 4.0, scene)))
     back = shrunk(1.0, 2.0, scene)
     above = shrunk(1.0, 2.0, shrunk(1.0, 2.0, back))
-    # Each sample as the others say it: of two on the front, and of one that is alone.
-    said = [2.0 * shrunk(2.0, 2.0, front), 2.0 * shrunk(4.0, 2.0, front), 2.0 * above]
-    ratios = ratios / (7.0 / sum(said))
+    # Each sample predicted from the others: of two on the front, and of one that is alone.
+    predicted = [2.0 * shrunk(2.0, 2.0, front), 2.0 * shrunk(4.0, 2.0, front), 2.0 * above]
+    ratios = ratios / (7.0 / sum(predicted))
     assert ratios[0, 0] == pytest.approx(shrunk(6.0, 4.0, front))
     assert ratios[1, 0] == pytest.approx(front)
     assert ratios[2, 1] == pytest.approx(shrunk(1.0, 2.0, above))

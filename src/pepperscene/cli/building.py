@@ -81,6 +81,10 @@ FrameOption = Annotated[
     int | None,
     typer.Option(metavar="N", help="Index of the frame, counted from 0. Default: the first selected."),
 ]
+TablesOption = Annotated[Path, typer.Option(help="Folder of the tables; created if missing.")]
+TableFormatOption = Annotated[
+    str, typer.Option("--format", metavar="parquet|csv", help="Format of the files.")
+]
 
 
 @command
@@ -266,12 +270,10 @@ def plant(
 @command
 def traits(
     *,
-    out: Annotated[Path, typer.Option(help="Folder of the tables; created if missing.")],
+    out: TablesOption,
     recipe: RecipeArgument = "demo",
     frame: FrameOption = None,
-    form: Annotated[
-        str, typer.Option("--format", metavar="parquet|csv", help="Format of the files.")
-    ] = "parquet",
+    form: TableFormatOption = "parquet",
     seed: SeedOption = None,
     set: SetOption = None,
 ) -> None:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
 from pepperscene.building.scenes.light_options import LightOptions
 from pepperscene.cli.application import RecipeArgument, SeedOption, SetOption, command
-from pepperscene.cli.building import FrameOption
+from pepperscene.cli.building import FrameOption, TableFormatOption, TablesOption
 from pepperscene.cli.progress import echo_progress
 
 
 @command
 def light(
     *,
-    out: Annotated[Path, typer.Option(help="Folder of the tables; created if missing.")],
+    out: TablesOption,
     recipe: RecipeArgument = "demo",
     frame: FrameOption = None,
     options: LightOptions,
-    form: Annotated[
-        str, typer.Option("--format", metavar="parquet|csv", help="Format of the files.")
-    ] = "parquet",
+    form: TableFormatOption = "parquet",
     seed: SeedOption = None,
     set: SetOption = None,
 ) -> None:

@@ -47,7 +47,7 @@ def write_rgbd(job: ExportJob, folder: Path) -> None:
     A sequence is a scene as one camera of one split sees it. Its time is the step of a frame, in seconds.
     `rgb.txt` and `depth.txt` list the images by time, `associations.txt` their pairs, and `groundtruth.txt`
     the poses, camera to world. Depths are along the optical axis, in the unit of the depth camera or else in
-    millimetres, which `depth.json` says, 0 for none. With a foreground, they are 0 outside it, and
+    millimetres, which `depth.json` gives, 0 for none. With a foreground, they are 0 outside it, and
     `mask/000110.png` is 255 inside. Without photographs in all frames, there is nothing of `rgb`.
     """
     _write_sequences(job, folder, lambda frame, geometry: read_view(frame, geometry).depth_z)

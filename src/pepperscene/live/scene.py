@@ -214,7 +214,7 @@ class LiveScene:
 
     @property
     def scene(self) -> Scene:
-        """Triangles and skeleton as they are now, without surfaces and light: for `export_scene`, say."""
+        """Triangles and skeleton as they are now, without surfaces and light, as `export_scene` takes."""
         return self._renderers.of(self._state).assembled.scene
 
     def traits(self) -> PlantTraits:

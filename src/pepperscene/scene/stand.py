@@ -22,28 +22,16 @@ from pepperscene.scene.charts import CalibrationChart
 from pepperscene.scene.greenhouse import as_single_instance
 from pepperscene.scene.row import rotation_about_z
 from pepperscene.scene.sky import Sky
-from pepperscene.units import (
-    DEGREES,
-    MILLIMETRES,
-    Name,
-    Switch,
-    Table,
-    ZeroOrAtLeast,
-    within,
-)
+from pepperscene.units import DEGREES, MILLIMETRES, Name, Switch, Table, ZeroOrAtLeast, within
 
 _ROUND: Final = 64  # chosen: sides of round objects
 _BASE: Final = {"round": 0.74, "square": 0.82}  # chosen: width of a pot's base over that of its rim
 _WALL: Final = 0.03  # chosen: thickness of a pot's wall over its width
-_LIP: Final = (
-    0.04,
-    0.16,
-)  # chosen: how far the rim stands out, and its height, over the width of a round pot
+_LIP: Final = (0.04, 0.16)
+"""Chosen: how far the rim stands out, and its height, over the width of a round pot."""
 _BELOW_RIM: Final = 0.1  # chosen: free space above the substrate, over the height of the pot
-_TRAY: Final = (
-    1.15,
-    0.14,
-)  # chosen: width of a tray over that of the pot's base, and its height over its width
+_TRAY: Final = (1.15, 0.14)
+"""Chosen: width of a tray over that of the pot's base, and its height over its width."""
 _TRAY_FLOOR: Final = 0.003  # chosen
 _TABLE_HEIGHT: Final = 0.03  # chosen: thickness of a turntable's disc
 _STAKE: Final = (0.004, (0.015, 0.012))  # chosen: radius of a bamboo cane, and its place beside the stem

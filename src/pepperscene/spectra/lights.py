@@ -24,6 +24,7 @@ from pepperscene.spectra.spectrum import FloatArray, Spectrum
 LUMINOUS_EFFICACY: Final = 683.002  # lm W-1, maximum for photopic vision (CIE 018:2019)
 _PLANCK: Final = 6.62607015e-34  # J s, exact in the SI of 2019
 _LIGHT_SPEED: Final = 299_792_458.0  # m s-1 in vacuum, exact
+_AVOGADRO: Final = 6.02214076e23  # mol-1, exact in the SI of 2019
 ANCHOR_NM: Final = 560.0  # relative spectra have the value 1 here, as in CIE tables
 SkyKind = Literal["d50", "d55", "d65", "d75"]
 WARMEST_K: Final = 5000.0
@@ -50,6 +51,11 @@ def colour_science() -> ModuleType:
 def photons_per_joule(wavelength_nm: ArrayLike) -> FloatArray:
     """Photons per joule of light at each wavelength: lambda / (h c)."""
     return np.asarray(wavelength_nm, dtype=float) * 1e-9 / (_PLANCK * _LIGHT_SPEED)
+
+
+def umol_per_joule(wavelength_nm: ArrayLike) -> FloatArray:
+    """Micromoles of photons per joule of light at each wavelength."""
+    return photons_per_joule(wavelength_nm) / _AVOGADRO * 1e6
 
 
 @lru_cache(maxsize=1)

@@ -41,8 +41,8 @@ def read_measured(
     Args:
         file: path of the file.
         columns: names of k columns; None for the first one after the wavelengths.
-        unit: of columns that say none, "fraction" or "percent"; None for that of the TOML file of the same
-            stem (see `Provenance`), or fractions.
+        unit: of columns without one in their name, "fraction" or "percent"; None for that of the TOML file of
+            the same stem (see `Provenance`), or fractions.
         wavelength_unit: likewise, "nm" or "um"; None for nanometres.
 
     Raises:
@@ -50,12 +50,12 @@ def read_measured(
             ascend or have a gap, or a value is outside of 0 to 1 or 0 to 100 %.
     """
     header, rows = read_table(file, _FIRST, _plain_name)
-    said = header[0].removeprefix("wavelength").strip("_")
-    if said and wavelength_unit not in (None, said):
-        problem = f"must be that of the header, {said}"
+    in_header = header[0].removeprefix("wavelength").strip("_")
+    if in_header and wavelength_unit not in (None, in_header):
+        problem = f"must be that of the header, {in_header}"
         raise InputError(file, problem, key="wavelength_unit", value=wavelength_unit)
     # Rounded, because a decimal fraction of a micrometre is none in binary.
-    nm = np.round(1e3 * rows[:, 0], 9) if (said or wavelength_unit) == "um" else rows[:, 0]
+    nm = np.round(1e3 * rows[:, 0], 9) if (in_header or wavelength_unit) == "um" else rows[:, 0]
     check_wavelengths(file, nm)
     _check_gaps(file, nm)
     default = unit or _described_unit(file)

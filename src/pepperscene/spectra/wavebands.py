@@ -40,10 +40,13 @@ class Waveband:
             )
 
 
+PAR: Final = Waveband("par", 400.0, 700.0)
+"""Photosynthetically active radiation (McCree 1972, Agricultural Meteorology 9:191)."""
+
 WAVEBANDS: Final = {
     band.name: band
     for band in (
-        Waveband("par", 400.0, 700.0),
+        PAR,
         Waveband("uva", 315.0, 400.0),  # ISO 21348
         Waveband("blue", 400.0, 500.0),
         Waveband("green", 500.0, 600.0),

@@ -18,10 +18,10 @@ from pepperscene.building.scenes.optics import (
     make_surfaces,
     prepare_for_mitsuba,
 )
-from pepperscene.building.scenes.scene_builder import NearPlants, NearScene, SceneBuilder
+from pepperscene.building.scenes.scene_builder import BuiltScene, NearPlants, NearScene, SceneBuilder
 from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
 from pepperscene.building.scenes.skies import sky_above
-from pepperscene.building.scenes.turning import TurnableScenes, lamps_at, sky_at, turn_metadata, turn_of
+from pepperscene.building.scenes.turning import TurntableScenes, lamps_at, sky_at, turn_metadata, turn_of
 from pepperscene.building.subprocess_rpc import FunctionWorker
 from pepperscene.frame import Frame
 from pepperscene.outputs import OUTPUTS, needs_surfaces
@@ -110,14 +110,14 @@ class FrameRenderer:
         self.recipe, self.cultivar = self.resolved.recipe, self.resolved.cultivar
         self.setups = FrameSetups(self.resolved)
         self.views = CameraViews(self.setups)
-        is_open = self.views.depends_on_scene or self.recipe.stand is not None or self.recipe.lamps
-        self.culled = culled and not is_open
+        sees_all = self.views.depends_on_scene or self.recipe.stand is not None or self.recipe.lamps
+        self.culled = culled and not sees_all
         self._renderer_factory = renderer or mitsuba_renderer
         self._near_plants = NearPlants(self.views, self._renderer_factory)
         self._on_stage = on_stage or _ignore
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
-        self._turnable = TurnableScenes()
+        self._turntable = TurntableScenes()
         self._skies: dict[tuple[int, str, str], Sky | None] = {}
         self._surfaces = SurfaceFactory()
 
@@ -243,7 +243,7 @@ class FrameRenderer:
         """The objects of a frame's scene, complete."""
         setup = self.setups.at(spec)
         builder, others = self.builder(spec), self.frames_of_scene(spec)
-        coarse_only = self._turnable.scene(spec, setup, builder)
+        coarse_only = self.built_scene(spec)
         return self._near_plants.grow((setup.plants, spec.set, spec.rotation), coarse_only, builder, others)
 
     def optics(
@@ -299,6 +299,10 @@ class FrameRenderer:
         if key not in self._skies:
             self._skies = {key: self._make_sky(spec, setup)}
         return sky_at(self._skies[key], turn_of(spec, setup))
+
+    def built_scene(self, spec: FrameSpec) -> BuiltScene:
+        """The objects of a frame's scene, with coarse plants in all far rows, and nothing left out."""
+        return self._turntable.scene(spec, self.setups.at(spec), self.builder(spec))
 
     def lamps(self, spec: FrameSpec) -> tuple[Lamp, ...]:
         """The lamps of a frame that stand in its scene."""

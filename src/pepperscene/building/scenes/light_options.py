@@ -28,9 +28,9 @@ class LightOptions:
         ),
     ] = "par"
     received: Annotated[bool, Option("Also trace the light that arrives, at twice the cost.")] = False
-    target_error: Annotated[
-        float, Option("Relative standard error of leaves and fruit at which tracing stops.", "X")
-    ] = 0.02
+    target_error: Annotated[float, Option("Relative standard error of leaves and fruit to aim at.", "X")] = (
+        0.02
+    )
     layer: Annotated[float, Option("Height of a layer.", "MM")] = 500.0
     date: Annotated[
         str | None, Option("Trace the day of this date, instead of the recipe's daylight.", "YYYY-MM-DD")

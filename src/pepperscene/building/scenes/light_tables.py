@@ -16,6 +16,7 @@ from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.scenes.light_options import LightOptions
 from pepperscene.building.scenes.skies import sky_under_daylight
 from pepperscene.building.scenes.trait_tables import encode_table, table_files
+from pepperscene.building.scenes.turning import sky_at, turn_of
 from pepperscene.dataset.store.manifest import Row, TableColumn, axis_columns, column_types, rows_table
 from pepperscene.recipe.plan import FrameSpec
 from pepperscene.recipe.recipe import Recipe
@@ -137,17 +138,17 @@ def light_tables(
     Raises:
         InputError: the recipe, a file that it names, the index or an option is not valid.
     """
-    options, tell = options or LightOptions(), on_stage or _ignore
+    options, on_stage = options or LightOptions(), on_stage or _ignore
     moments, bands = options.moments(), options.wavebands()
     renderer = FrameRenderer(recipe, on_stage=on_stage)
     plan = renderer.recipe.plan
     spec = plan.frame(plan.select_indices(None if frame is None else [frame], "frame")[0])
-    tracer = _tracer(renderer, spec, bands, tell)
+    tracer = _tracer(renderer, spec, bands, on_stage)
     organs = _Organs.of(tracer, renderer.setups.at(spec).recipe.row.plants_front, options.layer / 1e3)
     rows: dict[str, list[Row]] = {name: [] for name in LIGHT_TABLES}
     parts, hours = [], []
     for when, length, sky in _skies(renderer, spec, options, moments):
-        tell("tracing light" if when is None else f"tracing light at {when[11:16]}")
+        on_stage("tracing light" if when is None else f"tracing light at {when[11:16]}")
         seed = renderer.recipe.seed
         light = tracer.trace(sky, target_error=options.target_error, seed=seed)
         received = None
@@ -202,21 +203,18 @@ def lit_scene(renderer: FrameRenderer, spec: FrameSpec, nm: tuple[float, float])
     """
     from pepperscene.scene import assemble_scene
 
-    built = renderer.builder(spec).scene(spec.set, spec.rotation)
-    surfaces, sky = renderer.optics(spec, nm)
-    return assemble_scene(built.mesh, surfaces, sky, built.skeleton, renderer.resolved.lamps)
+    built, (surfaces, sky) = renderer.built_scene(spec), renderer.optics(spec, nm)
+    return assemble_scene(built.mesh, surfaces, sky, built.skeleton, renderer.lamps(spec))
 
 
 def _tracer(
-    renderer: FrameRenderer, spec: FrameSpec, bands: tuple[Waveband, ...], tell: Callable[[str], None]
+    renderer: FrameRenderer, spec: FrameSpec, bands: tuple[Waveband, ...], on_stage: Callable[[str], None]
 ) -> LightTracer:
     from pepperscene.render.absorbed import LightTracer
     from pepperscene.spectra.wavebands import FIRST_NM, LAST_NM
 
-    tell("growing plants")
-    scene = lit_scene(renderer, spec, (FIRST_NM, LAST_NM))
-
-    return LightTracer(scene, bands)
+    on_stage("growing plants")
+    return LightTracer(lit_scene(renderer, spec, (FIRST_NM, LAST_NM)), bands)
 
 
 def _skies(
@@ -239,7 +237,8 @@ def _skies(
             sun_azimuth_rad=math.radians(options.north) - moment.azimuth_rad,
             sun_elevation_rad=moment.elevation_rad,
         )
-        yield moment.when.isoformat(timespec="minutes"), moment.hours, sky
+        when, turn_rad = moment.when.isoformat(timespec="minutes"), turn_of(spec, renderer.setups.at(spec))
+        yield when, moment.hours, sky_at(sky, turn_rad)
 
 
 def _time_row(sky: Sky | None, hours: float | None) -> Row:
@@ -294,10 +293,10 @@ class _Organs:
             ("rows", "row", row),
         ):
             found, group = np.unique(values, return_inverse=True)
-            heads: list[Row] = [{key: int(value)} for value in found]
+            keys: list[Row] = [{key: int(value)} for value in found]
             if key == "layer":
-                heads = [head | {"z_m": layer_m * head["layer"]} for head in heads]
-            groups[table] = heads, group
+                keys = [one | {"z_m": layer_m * one["layer"]} for one in keys]
+            groups[table] = keys, group
         found, number = np.unique(names, return_inverse=True)
         return cls(columns, (found.tolist(), number), groups)
 
@@ -306,11 +305,11 @@ class _Organs:
         each = np.arange(len(light.instances))
         tables = {"organs": _amount_rows(self.columns, each, light, received)}
         classes, number = self.classes
-        for table, (heads, group) in self.groups.items():
+        for table, (keys, group) in self.groups.items():
             tables[table] = []
             for k, name in enumerate(["all", *classes]):
                 of_class = np.where(number == k - 1, group, -1) if k else group
-                named = [head | {"class": name} for head in heads]
+                named = [one | {"class": name} for one in keys]
                 tables[table] += _amount_rows(named, of_class, light, received)
         return tables
 
@@ -333,10 +332,10 @@ class _Organs:
 
 
 def _amount_rows(
-    heads: list[Row], group: NDArray[np.intp], light: AbsorbedLight, received: AbsorbedLight | None
+    keys: list[Row], group: NDArray[np.intp], light: AbsorbedLight, received: AbsorbedLight | None
 ) -> list[Row]:
     """Rows of groups of organs, without empty ones, band by band."""
-    count, rows = len(heads), list[Row]()
+    count, rows = len(keys), list[Row]()
     members = group >= 0
     area = np.bincount(group[members], light.area_m2[members], count)
     amounts = light.grouped(group, count)
@@ -344,7 +343,7 @@ def _amount_rows(
     ratio = None if arriving is None else _red_far_red(light, arriving)
     for k in np.flatnonzero(area > 0.0).tolist():
         for b, band in enumerate(light.bands):
-            row = heads[k] | {"area_m2": float(area[k]), "band": band.name}
+            row = keys[k] | {"area_m2": float(area[k]), "band": band.name}
             row |= _absorbed_columns(amounts, b, k, float(area[k]))
             if arriving is not None:
                 row["received_umol_m2_s"] = float(arriving.umol_s[b, k] / area[k])

@@ -47,7 +47,7 @@ def lamps_at(lamps: tuple[Lamp, ...], turn_rad: float) -> tuple[Lamp, ...]:
     return tuple(lamp.moved(rotation_about_z(-turn_rad), [0.0, 0.0, 0.0]) for lamp in lamps)
 
 
-class TurnableScenes:
+class TurntableScenes:
     """The scenes of a builder at each turn; one with a turntable is held, so that all views share it."""
 
     def __init__(self) -> None:

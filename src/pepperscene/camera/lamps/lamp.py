@@ -12,18 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.lamps.beam import Beam
 from pepperscene.spectra import Spectrum, illuminance
-from pepperscene.spectra.lights import photons_per_joule
+from pepperscene.spectra.lights import umol_per_joule
+from pepperscene.spectra.wavebands import PAR
 
 Array = NDArray[np.float64]
 
-_AVOGADRO: Final = 6.02214076e23  # mol-1, exact in the SI of 2019
-PAR_NM: Final = (400.0, 700.0)
-"""Photosynthetically active radiation (McCree 1972, Agricultural Meteorology 9:191)."""
 _POINTS: Final = 4096
 """Of a shape, for integrals over it. Chosen: those of closed forms are then within 1e-4."""
 _LEAST_AHEAD: Final = 1e-9
-"""Irradiance straight ahead over the flux and the squared distance; chosen: lux says nothing below it."""
-
+"""Irradiance straight ahead over the flux and the squared distance. Chosen: below, lux defines no flux."""
 
 STRONGEST_W: Final = 1e6
 """Of light of a lamp. Chosen: two thousand times the strongest lights of greenhouses."""
@@ -175,14 +172,14 @@ class Lamp:
         if len(given) != 1:
             raise ValueError(f"{self.name}: exactly one strength is needed, not {len(given)}")
         per_watt = self._photons_per_watt()
-        if ppf_umol_s is None and per_watt > 0:  # infrared light has a trace of lumens, which say nothing
+        if ppf_umol_s is None and per_watt > 0:  # infrared light has a trace of lumens, which define no flux
             per_watt = illuminance(self.unit_spectrum)
         if illuminance_lx is not None:
             ahead = replace(self, position_m=np.zeros(3), rotation=np.eye(3))
             factor = float(ahead.irradiance_factor([[0.0, 0.0, at_m]], [[0.0, 0.0, -1.0]])[0])
             per_watt *= factor if factor * at_m**2 > _LEAST_AHEAD else 0.0
         if not per_watt > 0:
-            raise ValueError(f"{self.name}: has no light of this kind, so that this strength says nothing")
+            raise ValueError(f"{self.name}: has no light of this kind, so this strength defines no flux")
         return replace(self, flux_W=given[0] / per_watt)
 
     @property
@@ -197,10 +194,9 @@ class Lamp:
 
     def _photons_per_watt(self) -> float:
         """Of light in 400 to 700 nm, umol s-1 per watt of all light."""
-        nm = np.union1d(np.arange(PAR_NM[0], PAR_NM[1] + 0.25, 0.25), self.spectrum.wavelength_nm)
-        nm = nm[(nm >= PAR_NM[0]) & (nm <= PAR_NM[1])]
-        photons = self.unit_spectrum.at(nm) * photons_per_joule(nm)
-        return float(np.trapezoid(photons, nm)) / _AVOGADRO * 1e6
+        nm = np.union1d(np.arange(PAR.first_nm, PAR.last_nm + 0.25, 0.25), self.spectrum.wavelength_nm)
+        nm = nm[(nm >= PAR.first_nm) & (nm <= PAR.last_nm)]
+        return float(np.trapezoid(self.unit_spectrum.at(nm) * umol_per_joule(nm), nm))
 
     def irradiance_factor(self, points_m: ArrayLike, normals: ArrayLike) -> Array:
         """`(n,)` irradiance of planes over the radiant flux, m-2, without any shadow.

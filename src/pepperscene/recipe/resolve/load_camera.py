@@ -144,9 +144,11 @@ def surface_range(sensors: Iterable[Sensor]) -> tuple[float, float]:
     Raises:
         ValueError: as `surface_wavelengths`.
     """
-    from pepperscene.camera.lamps.lamp import PAR_NM
+    from pepperscene.spectra.wavebands import PAR
 
-    limits = np.array([PAR_NM, *(surface_wavelengths(sensor)[[0, -1]] for sensor in sensors)])
+    limits = np.array(
+        [(PAR.first_nm, PAR.last_nm), *(surface_wavelengths(sensor)[[0, -1]] for sensor in sensors)]
+    )
     return float(limits[:, 0].min()), float(limits[:, 1].max())
 
 

@@ -14,19 +14,17 @@ from numpy.typing import NDArray
 from pepperscene.render.arrays import device_float, device_uint
 from pepperscene.render.kernel.camera import CameraRays
 from pepperscene.render.kernel.scene import LightScene
-from pepperscene.render.transport.light_meters import Measured, meter_light, meter_tables
+from pepperscene.render.transport.light_meters import LANES, Measured, meter_light, meter_tables
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.transport.samples import Samples
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
-from pepperscene.spectra.wavebands import WAVEBANDS
+from pepperscene.spectra.wavebands import PAR
 
-PAR: Final = WAVEBANDS["par"]
 MEASURED: Final[dict[str, Measured]] = {"irradiance": "received", "absorbed": "absorbed"}
 """What is measured, by the name of the output."""
 _SAMPLES: Final = 8  # chosen: of a pixel
-_LANES: Final = 1 << 19  # chosen: samples that are traced at a time; bounds the memory
 
 
 def light_images(
@@ -44,8 +42,8 @@ def light_images(
     tables, total = meter_tables(kernel, scene, [PAR]), rays.width * rays.height
     images = {name: np.empty(total, np.float32) for name in names}
     for name, image in images.items():
-        for start in range(0, total, _LANES // _SAMPLES):
-            end = min(start + _LANES // _SAMPLES, total)
+        for start in range(0, total, LANES // _SAMPLES):
+            end = min(start + LANES // _SAMPLES, total)
             image[start:end] = _pixels(tables, rays, MEASURED[name], seed, (start, end))
     return {name: image.reshape(rays.height, rays.width) for name, image in images.items()}
 

@@ -49,19 +49,39 @@ class SpectralTable:
 
 
 @functools.cache
-def flash_emitter() -> Any:
-    """Define the emitter class of the flash, once the variant is set."""
-    mi, dr = mitsuba_modules()
+def point_emitter() -> Any:
+    """Define the base of emitters that light samples choose points of, and that no ray meets."""
+    mi, _ = mitsuba_modules()
 
-    class FlashEmitter(mi.Emitter):  # type: ignore[name-defined]
-        """Equal discs across the camera's axis; construct with `of`.
-
-        A light sample is a uniform point on them. The discs are no shapes: scattered rays pass through.
-        """
+    class PointEmitter(mi.Emitter):  # type: ignore[name-defined]
+        """Points; construct with `of` of a class below."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.m_flags = mi.EmitterFlags.DeltaPosition
+
+        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            return mi.Float(0.0)
+
+        def eval(self, si: Any, active: Any = True) -> Any:
+            return mi.Spectrum(0.0)
+
+        def bbox(self) -> Any:
+            return mi.BoundingBox3f()
+
+    return PointEmitter
+
+
+@functools.cache
+def flash_emitter() -> Any:
+    """Define the emitter class of the flash, once the variant is set."""
+    mi, dr = mitsuba_modules()
+
+    class FlashEmitter(point_emitter()):  # type: ignore[misc]
+        """Equal discs across the camera's axis; construct with `of`.
+
+        A light sample is a uniform point on them. The discs are no shapes: scattered rays pass through.
+        """
 
         @classmethod
         def of(cls, flash: Flash, rays: CameraRays, intensity: SpectralTable) -> Any:
@@ -120,15 +140,6 @@ def flash_emitter() -> Any:
             lit = active & (cosine > 0.0)
             return ds, (self.intensity.at(it.wavelengths, active) * strength) & lit
 
-        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-            return mi.Float(0.0)
-
-        def eval(self, si: Any, active: Any = True) -> Any:
-            return mi.Spectrum(0.0)
-
-        def bbox(self) -> Any:
-            return mi.BoundingBox3f()
-
     return FlashEmitter
 
 
@@ -137,12 +148,8 @@ def lamp_emitter() -> Any:
     """Define the emitter class of a lamp, once the variant is set."""
     mi, dr = mitsuba_modules()
 
-    class LampEmitter(mi.Emitter):  # type: ignore[name-defined]
+    class LampEmitter(point_emitter()):  # type: ignore[misc]
         """Points at the middles of equal parts of a lamp's shape; construct with `of`, then `place`."""
-
-        def __init__(self, props: Any) -> None:
-            super().__init__(props)
-            self.m_flags = mi.EmitterFlags.DeltaPosition
 
         @classmethod
         def of(cls, lamp: Lamp, emitted: SpectralTable, unit_m: float) -> Any:
@@ -183,15 +190,6 @@ def lamp_emitter() -> Any:
             return ds, (
                 self.emitted.at(it.wavelengths, active) * self.beam.eval(uv, active)[0] / square
             ) & active
-
-        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-            return mi.Float(0.0)
-
-        def eval(self, si: Any, active: Any = True) -> Any:
-            return mi.Spectrum(0.0)
-
-        def bbox(self) -> Any:
-            return mi.BoundingBox3f()
 
     return LampEmitter
 

@@ -19,10 +19,10 @@ from pepperscene.render.kernel.lamps import FrameLamps
 from pepperscene.render.variant import mitsuba_modules
 
 _MIN_DISTANCE: Final = 1e-4  # local units; chosen, as of the flash
-_ANGLES: Final = 361  # of a beam's table: every half degree
-_PLANES: Final = 145  # of a beam's table: every 2.5 degrees
+_ANGLES: Final = 361  # chosen: of a beam's table, every half degree
+_PLANES: Final = 145  # chosen: of a beam's table, every 2.5 degrees
 _BOUNDS: Final = 64
-"""Of a beam's bound, evenly spaced over the cosine of the angle to the axis."""
+"""Chosen: entries of a beam's bound, evenly spaced over the cosine of the angle to the axis."""
 _NEIGHBOURS: Final = 4
 """Chosen: the bound is the maximum over as many entries on both sides, for shapes seen from nearby."""
 _LEAST_BOUND: Final = 1e-3

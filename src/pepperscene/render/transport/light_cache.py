@@ -9,8 +9,8 @@ What is kept is light over (albedo times light source), so that the place and th
 their own: each of a sample's four wavelengths lies in its own quarter of the distribution that they are drawn
 from, and each quarter has its own mean. A mean with few samples is drawn to that of a larger cell: with n
 samples and a weight of k, (sum + k parent) / (n + k). Larger cells are darker: most of their samples are deep
-in the crop. So all means are multiplied by the light of the samples over what the others say of each of them
-(leave-one-out), some per cent.
+in the crop. So all means are multiplied by the light of the samples over its prediction from the other
+samples (leave-one-out), some per cent.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ def light_cache(
             ratio = ratio.reshape(-1, 2, 4)[cells.parents[level]].reshape(-1, 4)
         light_sum, expected_sum = sums[level]
         parent, ratio = ratio, (light_sum + weight * ratio) / (expected_sum + weight)
-    # What the others say of each sample.
+    # Each sample, predicted from the others.
     parent = np.broadcast_to(parent, ratio.shape)[side]
     others = (light_sum[side] - light.T + weight * parent) / (expected_sum[side] - expected.T + weight)
-    said = np.einsum("nk,kn->k", others, expected, dtype=np.float64)
-    ratio = ratio * (light.sum(axis=1, dtype=np.float64) / np.maximum(said, _TINY)).astype(np.float32)
+    predicted = np.einsum("nk,kn->k", others, expected, dtype=np.float64)
+    ratio = ratio * (light.sum(axis=1, dtype=np.float64) / np.maximum(predicted, _TINY)).astype(np.float32)
     return LightCache(cells, device_array(ratio))
 
 

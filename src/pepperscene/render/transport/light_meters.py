@@ -32,7 +32,7 @@ from pepperscene.render.transport.owen_sobol import OwenSobol
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
-from pepperscene.spectra import photons_per_joule
+from pepperscene.spectra.lights import umol_per_joule
 from pepperscene.spectra.wavebands import Waveband
 
 Measured = Literal["absorbed", "received"]
@@ -41,12 +41,9 @@ REPLICATES: Final = 32
 eighth."""
 _MOST_BOUNCES: Final = 1000
 """Chosen: roulette has ended all paths long before, but those between lossless mirrors."""
-_LANES: Final = 1 << 19  # chosen: samples that are traced at a time; bounds the memory
+LANES: Final = 1 << 19  # chosen: samples that are traced at a time; bounds the memory
 _HALVINGS: Final = 22
 """Chosen: steps of the search for a triangle, enough for four million of one instance."""
-_AVOGADRO: Final = 6.02214076e23  # exact in the SI of 2019
-UMOL_PER_J_NM: Final = float(photons_per_joule(1.0)) / _AVOGADRO * 1e6
-"""Micromoles of photons per joule and nanometre of wavelength."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +159,7 @@ def meter_light(
     light = continued_light(tables, samples, wavelengths, (0, _MOST_BOUNCES), ray, seen, whole)
     power = dr.select(active, lamps + weight * light, 0.0) * wavelengths.weights * dr.two_pi
     inside = [(wavelengths.nm >= low) & (wavelengths.nm <= high) for low, high in limits]
-    photons = power * wavelengths.nm * UMOL_PER_J_NM
+    photons = power * wavelengths.nm * float(umol_per_joule(1.0))
     return [dr.sum(values & mask) for values in (power, photons) for mask in inside]
 
 
@@ -202,7 +199,7 @@ class OrganMeters:
         each time.
         """
         parts = []
-        step = max(_LANES // (REPLICATES * count), 1)
+        step = max(LANES // (REPLICATES * count), 1)
         for start in range(0, len(organs), step):
             parts.append(self._sums(tables, organs[start : start + step], first, count, seed, measured))
         return np.concatenate(parts, axis=-1)
