@@ -23,12 +23,14 @@ from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.document import parse_json
 from pepperscene.errors import ArgumentError, InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.evaluate import predict_classes
+from pepperscene.learning.evaluation.evaluate import predict_classes, sampled_probabilities
 from pepperscene.learning.evaluation.measures import confusion_matrix, mean_intersection_over_union
+from pepperscene.learning.models.decision import Decision, fit_temperature
 from pepperscene.learning.models.registry import build_model, without_initial_weights
 from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model
 from pepperscene.learning.options import TrainingOptions, TrainingProgress
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
+from pepperscene.learning.training.colour_matching import ColourMatching
 from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
 from pepperscene.user_files import read_file
 
@@ -47,6 +49,8 @@ percent."""
 _MOST_WEIGHT: Final = 30.0
 """Of a class, times that of the most frequent one. Chosen: a class of a few pixels must not drown the
 others."""
+
+_LEAST_PROBABILITY: Final = 1e-12  # chosen: of a class of which the network is certain that it is not there
 
 
 @final
@@ -84,8 +88,8 @@ class SegmentationLoss(nn.Module):
         return losses / total.clamp(min=1e-6)
 
 
-def class_weights(sets: Sequence[ImageSet], labels: ClassTable, balance: float) -> NDArray[np.float64]:
-    """Weights `(k,)` of classes: their frequency to the power of `-balance`, 1 on average over pixels.
+def class_frequencies(sets: Sequence[ImageSet], labels: ClassTable) -> NDArray[np.float64]:
+    """Shares `(k,)` of the classes in the labelled pixels of some images.
 
     Raises:
         InputError: no image has a pixel of any of the classes.
@@ -99,10 +103,33 @@ def class_weights(sets: Sequence[ImageSet], labels: ClassTable, balance: float) 
     if not counts.any():
         names = ", ".join(images.name for images in sets)
         raise InputError(names, f"has no pixel of the classes {labels}")
-    frequencies = counts / counts.sum()
+    return np.asarray(counts / counts.sum())
+
+
+def class_weights(frequencies: NDArray[np.float64], balance: float) -> NDArray[np.float64]:
+    """Weights `(k,)` of classes: their frequency to the power of `-balance`, 1 on average over pixels."""
     weights = np.maximum(frequencies, frequencies.max() * 1e-9) ** -balance
     weights = np.minimum(weights, weights[frequencies.argmax()] * _MOST_WEIGHT)
     return np.asarray(weights / (weights * frequencies).sum())
+
+
+def _decision(
+    labels: ClassTable,
+    outputs: ClassTable,
+    weights: NDArray[np.float64],
+    frequencies: NDArray[np.float64],
+    origin: Decision | None,
+) -> Decision:
+    """What takes the weights of the loss back; `labels` merges the outputs of the network."""
+    merging = labels.merging(outputs)
+    is_labelled = merging.any(axis=0)
+    # Members of a merged class keep the proportions that the network was started with.
+    before = np.ones(len(outputs)) if origin is None else np.array(origin.frequencies)
+    merged = np.maximum(merging @ before, np.finfo(float).tiny)
+    shares = np.where(is_labelled, merging.T @ (frequencies / merged) * before, 0.0)
+    factors = np.where(is_labelled, merging.T @ weights, 1.0)
+    temperature = 1.0 if origin is None else origin.temperature
+    return Decision(tuple(factors.tolist()), tuple(shares.tolist()), temperature)
 
 
 @final
@@ -116,6 +143,7 @@ class TrainingLoop:
         labels: ClassTable,
         origin: TrainedModel | None,
         record: Mapping[str, Any],
+        matching: ColourMatching | None = None,
     ) -> None:
         self.options, self.labels, self.record = options, labels, record
         self.device = _find_device(options.device)
@@ -125,14 +153,18 @@ class TrainingLoop:
             module.load_state_dict(origin.module.state_dict())
         module.to(self.device, memory_format=torch.channels_last)
         model = without_initial_weights(options.model)
-        self.trained = TrainedModel(module, model, classes, options.width, record)
-        weights = class_weights(sets, labels, options.balance or 0.0)
+        frequencies = class_frequencies(sets, labels)
+        weights = class_weights(frequencies, options.balance or 0.0)
+        decision = _decision(
+            labels, classes, weights, frequencies, None if origin is None else origin.decision
+        )
+        self.trained = TrainedModel(module, model, classes, options.width, record, decision)
         self.loss = SegmentationLoss(labels, classes, weights).to(self.device)
         assert options.learning_rate is not None
         self.optimiser = torch.optim.Adam(
             module.parameters(), lr=options.learning_rate, betas=_BETAS, eps=_EPSILON
         )
-        self.samples = TrainingSamples(sets, labels, options)
+        self.samples = TrainingSamples(sets, labels, options, matching)
 
     def run(
         self,
@@ -158,7 +190,7 @@ class TrainingLoop:
             mean_iou = None
             if ends:
                 mean_iou = _known(self._validate(validation)) if validation else None
-                state = self._checkpoint(folder, step, state, mean_iou, float(np.mean(losses)))
+                state = self._checkpoint(folder, step, state, mean_iou, losses, validation)
             if on_progress is not None:
                 rate = (step - start) * options.batch / (time.monotonic() - begin)
                 left = (options.steps - step) * options.batch / rate
@@ -209,7 +241,13 @@ class TrainingLoop:
         return value
 
     def _checkpoint(
-        self, folder: Path, step: int, state: TrainingState, mean_iou: float | None, loss: float
+        self,
+        folder: Path,
+        step: int,
+        state: TrainingState,
+        mean_iou: float | None,
+        losses: Sequence[float],
+        validation: Sequence[ImageSet],
     ) -> TrainingState:
         """Write the network if it is the best one, the log, and last the state that a resumption reads."""
         folder.mkdir(parents=True, exist_ok=True)
@@ -218,8 +256,9 @@ class TrainingLoop:
         if best is None or (mean_iou is not None and mean_iou > best):
             best, best_step = mean_iou, step
             training = {**self.record, "step": step, "validation_mean_iou": mean_iou}
-            replace(self.trained, training=training).save(folder / MODEL_FILE)
-        _append_log(folder / LOG_FILE, {"step": step, "loss": loss, "mean_iou": mean_iou})
+            decision = self._calibrated(validation)
+            replace(self.trained, training=training, decision=decision).save(folder / MODEL_FILE)
+        _append_log(folder / LOG_FILE, {"step": step, "loss": float(np.mean(losses)), "mean_iou": mean_iou})
         state = TrainingState(step, best, best_step, self.record)
         write_state(folder, self.trained.module, self.optimiser, state)
         return state
@@ -228,13 +267,35 @@ class TrainingLoop:
         """Mean IoU over all images of the sets, in the classes of the labels; nan without labelled pixels."""
         merging = self.labels.merging(self.trained.classes)
         total = np.zeros((len(self.labels), len(self.labels)), np.int64)
-        for images in validation:
+        for colour, truth in self._labelled(validation):
+            prediction = predict_classes(self.trained, colour, merging)
+            total += confusion_matrix(truth, prediction, len(self.labels))
+        return float(mean_intersection_over_union(total))
+
+    def _calibrated(self, validation: Sequence[ImageSet]) -> Decision:
+        """The decision with the temperature of the least cross-entropy in images; as it is without any."""
+        decision = self.trained.decision
+        assert decision is not None
+        plain = replace(self.trained, decision=None)
+        logits, labels = [], []
+        for colour, truth in self._labelled(validation):
+            for part, probabilities in sampled_probabilities(plain, colour):
+                known = truth[part] != IGNORE_CLASS
+                logits.append(np.log(np.maximum(probabilities[:, known], _LEAST_PROBABILITY)).T)
+                labels.append(truth[part][known])
+        if not sum(map(len, labels)):
+            return decision
+        merging = self.labels.merging(self.trained.classes)
+        temperature = fit_temperature(np.concatenate(logits), np.concatenate(labels), decision.shift, merging)
+        return replace(decision, temperature=temperature)
+
+    def _labelled(self, sets: Sequence[ImageSet]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+        """Colour and class indices of the images of sets."""
+        for images in sets:
             for image in images.select("colour", "classes"):
                 if image.colour is None or image.classes is None:
                     raise InputError(images.name, f"{image.name} has no colour image or no mask")
-                prediction = predict_classes(self.trained, image.colour, merging)
-                total += confusion_matrix(self.labels.indices(image.classes), prediction, len(self.labels))
-        return float(mean_intersection_over_union(total))
+                yield image.colour, self.labels.indices(image.classes)
 
 
 def _known(mean_iou: float) -> float | None:

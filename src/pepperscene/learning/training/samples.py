@@ -23,6 +23,7 @@ from pepperscene.dataset.readers.torch_augment_steps import (
 from pepperscene.errors import InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.options import TrainingOptions
+from pepperscene.learning.training.colour_matching import ColourMatching
 
 
 @final
@@ -33,12 +34,19 @@ class TrainingSamples(torch.utils.data.Dataset):
     `(h, w)` uint8, indices of the classes or 255.
     """
 
-    def __init__(self, sets: Sequence[ImageSet], labels: ClassTable, options: TrainingOptions) -> None:
+    def __init__(
+        self,
+        sets: Sequence[ImageSet],
+        labels: ClassTable,
+        options: TrainingOptions,
+        matching: ColourMatching | None = None,
+    ) -> None:
         self._sets = [images.select("colour", "classes") for images in sets]
         self._images = [
             (which, position) for which, images in enumerate(sets) for position in range(len(images))
         ]
         self._labels, self._seed, self._width = labels, options.seed, options.width
+        self._matching = matching
         self._augmentation = _augmentation(options.size, options.augmentation)
 
     def __getitem__(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -47,6 +55,8 @@ class TrainingSamples(torch.utils.data.Dataset):
         order = np.random.default_rng([self._seed, 0, epoch]).permutation(len(self._images))
         which, position = self._images[order[place]]
         colour, labels = self._read(self._sets[which], position)
+        if self._matching is not None:
+            colour = self._matching(colour, np.random.default_rng([self._seed, 2, int(number)]))
         # Random changes depend on the number alone, not on the worker that makes them.
         rng = np.random.default_rng([self._seed, 1, int(number)])
         arrays = self._augmentation.apply({"image": colour, "mask": labels}, rng)
