@@ -72,6 +72,7 @@ from .learning import Evaluation as Evaluation
 from .learning import TrainingOptions as TrainingOptions
 from .learning import evaluate as evaluate
 from .learning import predict as predict
+from .learning import with_shares as with_shares
 from .learning import write_evaluation as write_evaluation
 from .learning.models import TrainedModel as TrainedModel
 from .learning.models import load_model as load_model

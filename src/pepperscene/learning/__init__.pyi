@@ -2,6 +2,7 @@ from .class_table import FRUIT_CLASSES as FRUIT_CLASSES
 from .class_table import ClassTable as ClassTable
 from .evaluation.evaluate import Segmenter as Segmenter
 from .evaluation.evaluate import evaluate as evaluate
+from .evaluation.evaluate import with_shares as with_shares
 from .evaluation.evaluation import Evaluation as Evaluation
 from .evaluation.page import EvaluationFiles as EvaluationFiles
 from .evaluation.page import write_evaluation as write_evaluation
