@@ -135,6 +135,9 @@ def _read_image(
     rows, columns, _ = daylight.shape
     small = metering_camera(camera, (columns, rows))
     pulse_s = 0.0 if camera.flash is None else camera.flash.pulse_s
+    # Pixels without weight, which are most of those of a small subject, need no codes.
+    used = slice(None) if weights.all() else weights > 0
+    weights = weights[used]
 
     def read(exposure_s: float, gain: float, factor: float) -> Reading:
         flashed = flash * min(pulse_s, exposure_s)
@@ -144,7 +147,7 @@ def _read_image(
         if _has_flash_fractions(camera) and camera.developing.stray_light:
             electrons = np.asarray(add_stray_light(electrons, small), float)
         sensor = camera.sensor if gain == camera.sensor.gain else camera.sensor.with_settings(gain=gain)
-        codes = expected_image(factor * electrons, dataclasses.replace(camera, sensor=sensor))
+        codes = expected_image(factor * electrons[used], dataclasses.replace(camera, sensor=sensor))
         grey = 255.0 * float((weights[..., None] * codes).sum(dtype=np.float64)) / codes.shape[-1]
         is_saturated = counts_saturated and codes.max(axis=-1) >= _SATURATED
         return Reading(grey, float((weights * is_saturated).sum()))
