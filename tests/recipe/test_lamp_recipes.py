@@ -74,7 +74,7 @@ def test_lamp_with_a_curve_of_a_user(tmp_path):
 
 
 def test_white_balance_of_lamps_is_that_of_their_light_together(tmp_path):
-    """A white card in the light of two kinds of lamps, in the world and at the camera, by sums over spectra."""
+    """A white card in the light of lamps in the world and at the camera, by sums over spectra."""
     text = '[developing]\nwhite_balance = "lamps"\n' + PANEL + "count = [2, 1]\nspacing_mm = [600, 0]\n"
     text += PANEL.replace("led_panel_600mm", "hps_top_light_1000w") + 'fixed = "camera"\nflux_lm = 6000\n'
     recipe = resolved(tmp_path, text)
