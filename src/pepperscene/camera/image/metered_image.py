@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -107,7 +107,7 @@ def image_meter(
     fine = _read_image(camera, daylight, flash, weights, counts)
     size = small.sensor.pixel_pitch_m / camera.sensor.pixel_pitch_m
     if size <= 1.0 or min(rows, columns) < 2:
-        return fine
+        return cache(fine)
     if subject is not None:
         subject = _half_resolution(subject[..., None])[..., 0]
     weights = _weights(rows // 2, columns // 2, metering, subject)
@@ -118,7 +118,8 @@ def image_meter(
         pairs = zip(fine(exposure_s, gain, factor), coarse(exposure_s, gain, factor), strict=True)
         return Reading(*(max(one - (size - 1.0) / size * (other - one), 0.0) for one, other in pairs))
 
-    return read
+    # Limits of exposure and gain, and what is found, are read again.
+    return cache(read)
 
 
 def _half_resolution(image: Floats) -> Floats:
