@@ -115,7 +115,7 @@ def test_pixels_of_leaves_are_those_of_the_tables():
 
 @pytest.mark.long
 def test_pixels_of_a_plant_are_those_of_the_tables():
-    """Of leaves, of fruit, and of stems, petioles and calyces, of whose surface a part is inside of others."""
+    """Of leaves, of fruit, and of the rest, of whose surface a part is inside of other organs."""
     cultivar = ps.load_cultivar("kaite_february")
     plant = ps.mesh_plant(ps.grow(cultivar, np.random.default_rng(3)))
     surfaces = ps.organ_surfaces(cultivar, np.arange(380.0, 781.0, 5.0))
