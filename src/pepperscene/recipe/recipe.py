@@ -133,8 +133,11 @@ class Recipe(Document):
     @property
     def exposure_control(self) -> AutoExposureTable | None:
         """What automatic exposure aims at; None if the exposure is given."""
-        if self.camera.exposure_s != AUTO:
-            return None
+        return self.metering if self.camera.exposure_s == AUTO else None
+
+    @property
+    def metering(self) -> AutoExposureTable:
+        """What automatic exposure aims at, whether or not the exposure is given."""
         return self.auto_exposure or AutoExposureTable()
 
     def with_variation(self, variation: tuple[Varied, ...]) -> Recipe:

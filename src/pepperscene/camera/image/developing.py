@@ -233,12 +233,16 @@ def reference_light(camera: Camera) -> Spectrum:
     daylight (CIE D65) without a flash.
 
     Raises:
-        ValueError: the white balance needs a missing flash.
+        ValueError: the white balance needs a missing flash or missing lamps.
     """
     has_colours = camera.sensor.pattern not in ("mono", "bands")
     balance = camera.developing.white_balance if has_colours else None
     if balance == "flash" and camera.flash is None:
         raise ValueError('white balance "flash" needs a flash; choose "daylight"')
+    if balance == "lamps":
+        if camera.lamp_light is None:
+            raise ValueError('white balance "lamps" needs the spectrum of lamps; choose "daylight"')
+        return camera.lamp_light
     return d65_spectrum() if balance == "daylight" or camera.flash is None else camera.flash.spectrum
 
 

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, PlainSerializer
 from pepperscene.units import NONE, Switch, Table, single_message, within
 
 Demosaic = Literal["malvar", "menon", "bilinear"]
-Light = Literal["flash", "daylight"]
+Light = Literal["flash", "daylight", "lamps"]
 Tone = Literal["srgb", "linear"]
 GAIN_RANGE: Final = (0.01, 100.0)
 """Allowed white balance gains. Chosen: cameras need 1 to 4, and single precision is exact enough here."""
@@ -30,7 +30,7 @@ Pedestal = Annotated[float, within(0, LARGEST_PEDESTAL)] | Literal["auto"]
 
 
 _BALANCE: Final = single_message(
-    'must be "flash", "daylight", "none", or the gains of red, green and blue, each 0.01 to 100'
+    'must be "flash", "daylight", "lamps", "none", or the gains of red, green and blue, each 0.01 to 100'
 )
 _NAMED_NONE: Final = BeforeValidator(lambda value: None if value == NONE else value)
 _NONE_NAME: Final = PlainSerializer(lambda value: NONE if value is None else value)
@@ -50,7 +50,7 @@ class Developing(Table):
         quantise: rounding by the converter.
         demosaic: how colours are interpolated if every Bayer photosite is a pixel (binning 1).
         white_balance: the light under which a white diffuser is neutral, or the gains of red, green and blue,
-            each within `GAIN_RANGE`; None keeps the device's colour cast.
+            each within `GAIN_RANGE`; None keeps the device's colour cast. "lamps" is `Camera.lamp_light`.
         colour_matrix: from camera_rgb to linear sRGB. True fits it to the light of the white balance or, if
             that names none, to the flash or else daylight; False leaves it out; a `(3, 3)` matrix is applied
             to camera_rgb after the gains. Its rows need not sum to 1; entries are within +-100.
@@ -104,7 +104,7 @@ def _white_balance(value: object) -> WhiteBalance:
         for light in get_args(Light):
             if value == light:
                 return light
-        raise ValueError(f'white balance must be "flash", "daylight", gains or None, not {value!r}')
+        raise ValueError(f'white balance must be "flash", "daylight", "lamps", gains or None, not {value!r}')
     return _gains(value, "gains")
 
 

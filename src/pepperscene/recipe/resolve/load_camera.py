@@ -42,7 +42,7 @@ _TRANSMITTANCE: Final = 0.9
 
 def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Camera:
     """Load the camera with the recipe's settings, without a pose; arguments and errors as in `load_files`."""
-    from pepperscene.camera import Camera, load_flash
+    from pepperscene.camera import Camera, lamp_spectrum, load_flash
 
     where, table, files = where or recipe.name, recipe.camera, files or NamedFiles()
     calibration = _read_calibration(table, where, files)
@@ -63,13 +63,21 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
     if developing.white_balance == "flash" and flash is None and sensor.channels > 1:
         problem = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
         raise InputError(where, problem, key="camera.flash", value=NONE)
+    is_balanced = developing.white_balance == "lamps" and sensor.channels > 1
+    if is_balanced and not recipe.lamps:
+        problem = f'needs [[lamps]]; without, it is "daylight", "flash", "{NONE}" or three gains'
+        raise InputError(where, problem, key="developing.white_balance", value="lamps")
+    lamps = load_lamps(recipe, "camera", where, files)
+    exposure_s = _TYPICAL_EXPOSURE_S if table.exposure_s == AUTO else table.exposure_s
+    all_lamps = (*lamps, *load_lamps(recipe, "world", where, files)) if is_balanced else ()
     try:
         return Camera(
             lens=lens,
             sensor=sensor,
-            exposure_s=_TYPICAL_EXPOSURE_S if table.exposure_s == AUTO else table.exposure_s,
+            exposure_s=exposure_s,
             flash=flash,
-            lamps=load_lamps(recipe, "camera", where, files),
+            lamps=lamps,
+            lamp_light=lamp_spectrum(all_lamps, exposure_s),
             developing=developing,
             focus_m=table.focus_m,
             labels_per_row=table.labels_per_row is not False,
