@@ -37,6 +37,7 @@ class Output:
         needs: what it is rendered from; otherwise rays through the pixels suffice.
         channel_names: names along the third axis in an EXR file, unless they are those of the sensor.
         in_runs: whether its rows consist of runs of equal values, which compress well.
+        is_photo: whether its file is a JPEG, with the settings and the EXIF of the frame's JSON.
         padding: value of pixels outside the image.
         limits: smallest and largest value of an output whose other pixels, such as the sky, have `padding`.
         field: of `LabelledImage` that it is read into; empty for none.
@@ -51,6 +52,7 @@ class Output:
     needs: frozenset[Need] = frozenset()
     channel_names: tuple[str, ...] = ()
     in_runs: bool = False
+    is_photo: bool = False
     padding: float = 0.0
     limits: tuple[float, float] | None = None
     field: str = ""
@@ -68,12 +70,14 @@ class Output:
     @property
     def suffix(self) -> str:
         """Suffix of its file in a data set."""
+        if self.is_photo:
+            return ".jpg"
         return ".json" if not self.is_image else ".exr" if self.dtype.startswith("float") else ".png"
 
     @property
     def file_kind(self) -> FileKind:
         """Kind of its file, which limits the length."""
-        kinds: dict[str, FileKind] = {".json": "json", ".exr": "values", ".png": "image"}
+        kinds: dict[str, FileKind] = {".json": "json", ".exr": "values", ".png": "image", ".jpg": "image"}
         return kinds[self.suffix]
 
     @property
@@ -125,6 +129,16 @@ _IMAGER: Final[frozenset[Need]] = frozenset({"light", "depth_camera"})
 _CLASSES: Final = tuple(organ_class.name.lower() for organ_class in OrganClass)
 _ALL: Final = (
     Output("colour", "(h, w, 3)", "uint8", "sRGB", "the developed photograph", needs=_PHOTO, field="colour"),
+    Output(
+        "photo",
+        "(h, w, 3)",
+        "uint8",
+        "sRGB",
+        "the same as a JPEG file with EXIF, see [below](#photographs-as-jpeg-files)",
+        needs=_PHOTO,
+        is_photo=True,
+        field="colour",
+    ),
     Output(
         "raw",
         "(H, W)",

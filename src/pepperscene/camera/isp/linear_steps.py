@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from pepperscene.camera.isp.processor import ImageProcessor
 
 Floats = NDArray[np.float32]
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
+_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
 
 
 def apply_residuals(rgb: Floats, rows: slice, shape: tuple[int, int], isp: ImageProcessor) -> Floats:
@@ -20,14 +22,13 @@ def apply_residuals(rgb: Floats, rows: slice, shape: tuple[int, int], isp: Image
     rgb = rgb + np.float32(isp.black_level_error or 0.0)
     red, blue = isp.shading_cast or (0.0, 0.0)
     residual = np.array([red, 0.0, blue] if rgb.shape[2] == 3 else [0.0]) + (isp.shading or 0.0)
-    if not residual.any():
-        return rgb
     height, width = shape
-    down = np.square(np.arange(rows.start, rows.stop) + 0.5 - height / 2)
-    right = np.square(np.arange(width) + 0.5 - width / 2)
-    squares = (down[:, None] + right) / ((height**2 + width**2) / 4)
-    for channel, corner in enumerate(residual):
-        rgb[..., channel] *= (1.0 + corner * squares).astype(np.float32)
+    corner = (height**2 + width**2) / 4
+    down = np.square(np.arange(rows.start, rows.stop)[:, None] + 0.5 - height / 2) / corner
+    right = np.square(np.arange(width) + 0.5 - width / 2) / corner
+    for channel in np.flatnonzero(residual):
+        added = residual[channel]
+        rgb[..., channel] *= (1.0 + added * down).astype(np.float32) + (added * right).astype(np.float32)
     return rgb
 
 
@@ -67,7 +68,7 @@ def _neighbours(at: NDArray[np.float64], count: int) -> tuple[NDArray[np.intp], 
 
 def saturate(linear: Floats, factor: float | None) -> Floats:
     """Linear sRGB `(n, w, 3)` whose differences from its luminance are multiplied; grey stays grey."""
-    if factor in (None, 1.0):
+    if factor is None or factor == 1.0:
         return linear
-    luminance = linear @ _LUMINANCE
-    return luminance[..., None] + np.float32(factor) * (linear - luminance[..., None])
+    matrix = factor * np.eye(3) + (1.0 - factor) * _LUMINANCE
+    return linear @ matrix.T.astype(np.float32)
