@@ -54,8 +54,9 @@ def develop(
     """
     expected = _check_electrons(electrons, camera)
     _check_has_mosaic(camera)
-    if camera.developing.isp is not None:
-        return _processed(expected, camera, camera.developing.isp, rng)
+    isp = camera.developing.isp
+    if isp is not None and isp.changes_images:
+        return _processed(expected, camera, isp, rng)
     image = np.empty((camera.height, camera.width, 3), np.uint8)
     for rows, rgb in colour_strips(expected, camera.sensor, rng, camera.developing):
         linear = add_pedestal(correct_colours(rgb, camera), camera)

@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 GAMMA: Final = 2.2  # chosen: that of most displays before sRGB
 _LEVELS: Final = 1 << 16
 """Of light in a table of a curve. Near black, where sRGB is steepest, a step is 0.05 codes of 255."""
-_FILMIC_EXPOSURE: Final = 2.0  # the exposure bias of Hable (2010)
+_FILMIC_EXPOSURE: Final = 0.6  # of Narkowicz (2015), so that his fit is that of the whole transform
 
 
 def tone_curve(light: Array, curve: ToneCurveName | str | Points, gamma: float = GAMMA) -> Array:
     """Code in [0, 1] of linear light in [0, 1].
 
-    "filmic" is the curve of Hable (2010, "Uncharted 2: HDR lighting", Game Developers Conference) with his
-    exposure bias, scaled so that light 1 is white, and coded as sRGB. A curve of points is linear between
-    them.
+    "filmic" is the fit of Narkowicz (2015, "ACES filmic tone mapping curve", knarkowicz.wordpress.com) to the
+    reference transform of the Academy Color Encoding System, scaled so that light 1 is white, and coded as
+    sRGB: dark shade, bright lights, and a shoulder below white. A curve of points is linear between them.
 
     Raises:
         ValueError: the curve has another name.
@@ -37,16 +37,14 @@ def tone_curve(light: Array, curve: ToneCurveName | str | Points, gamma: float =
     if curve == "gamma":
         return np.asarray(light ** (1.0 / gamma))
     if curve == "filmic":
-        return srgb_encode(_hable(_FILMIC_EXPOSURE * light) / _hable(np.array(_FILMIC_EXPOSURE)))
+        return srgb_encode(_aces(_FILMIC_EXPOSURE * light) / _aces(np.array(_FILMIC_EXPOSURE)))
     if curve == "srgb":
         return srgb_encode(light)
     raise ValueError(f"there is no tone curve {curve!r}")
 
 
-def _hable(x: Array) -> Array:
-    """Hable's operator with his constants: shoulder, linear part, toe."""
-    a, b, c, d, e, f = 0.15, 0.50, 0.10, 0.20, 0.02, 0.30
-    return np.asarray((x * (a * x + c * b) + d * e) / (x * (a * x + b) + d * f) - e / f)
+def _aces(x: Array) -> Array:
+    return np.asarray(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14))
 
 
 def s_curve(code: Array, strength: float) -> Array:

@@ -101,7 +101,7 @@ def sharpen(luma: Floats, amount: float, radius_px: float, threshold: float) -> 
         return luma
     from scipy.ndimage import gaussian_filter
 
-    mask = luma - gaussian_filter(luma, radius_px, truncate=3.0)
+    mask = luma - gaussian_filter(luma, radius_px)
     if threshold:
         mask -= np.clip(mask, np.float32(-threshold), np.float32(threshold))
     mask *= np.float32(amount)

@@ -21,6 +21,7 @@ Pixels = Annotated[float, within(-50, 50)]
 Quality = Annotated[int, Field(strict=True, ge=1, le=100)]
 Subsampling = Literal["4:4:4", "4:2:2", "4:2:0"]
 Points = tuple[tuple[float, float], ...]
+Rows = Annotated[tuple[tuple[Fraction, Fraction], ...], Field(min_length=2, max_length=MOST_POINTS)]
 
 _CURVE: Final = single_message(
     f"must be {', '.join(TONE_CURVES)}, the path of a CSV file, or pairs of light and code, each 0 to 1"
@@ -69,7 +70,7 @@ class ImageProcessor(Table):
     chromatic_aberration_px: tuple[Pixels, Pixels] | None = None
     chromatic_correction: Fraction | None = None
     saturation: Annotated[float, within(0, 4)] | None = None
-    tone_curve: Annotated[Name | tuple[tuple[Fraction, Fraction], ...] | None, _CURVE] = None
+    tone_curve: Annotated[Name | Rows | None, _CURVE] = None
     gamma: Annotated[float, within(0.5, 5)] | None = None
     contrast: Annotated[float, within(-1, 1)] | None = None
     luma_noise_reduction: Annotated[float, within(0, 0.5)] | None = None
@@ -85,6 +86,11 @@ class ImageProcessor(Table):
     def __post_init__(self) -> None:
         if self.tone_curve is not None and not isinstance(self.tone_curve, str):
             object.__setattr__(self, "tone_curve", tone_points(self.tone_curve))
+
+    @property
+    def changes_images(self) -> bool:
+        """Whether any step before the JPEG has a value."""
+        return not _given(self).keys() <= {"preset", "jpeg_quality", "jpeg_subsampling"}
 
     def completed(self, preset: ImageProcessor) -> ImageProcessor:
         """The same with the values of a preset where there is none."""
