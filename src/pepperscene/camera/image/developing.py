@@ -18,8 +18,9 @@ from pepperscene.camera.image.colorimetry import (
     srgb_encode,
     white_balance_gains,
 )
+from pepperscene.camera.image.electrons import relative_illumination
 from pepperscene.camera.image.tone_curves import apply_tone
-from pepperscene.camera.isp.linear_steps import apply_residuals, displace_red_and_blue, saturate
+from pepperscene.camera.isp.linear_steps import correct_shading, displace_red_and_blue, saturate
 from pepperscene.camera.isp.local_steps import apply_local_steps
 from pepperscene.camera.isp.processor import ImageProcessor
 from pepperscene.camera.sensor.developing_steps import LARGEST_PEDESTAL, Tone
@@ -71,7 +72,7 @@ def _processed(
     sensor, shape = camera.sensor, (camera.height, camera.width)
     codes = np.empty((*shape, sensor.channels), np.float32)
     for rows, rgb in colour_strips(expected, sensor, rng, camera.developing):
-        codes[rows] = apply_residuals(rgb, rows, shape, isp)
+        codes[rows] = correct_shading(rgb, rows, shape, isp, relative_illumination(camera, rows))
     if sensor.channels == 3:
         displace_red_and_blue(codes, isp)
     for rows in row_strips(camera.width, camera.height):

@@ -14,12 +14,21 @@ Floats = NDArray[np.float32]
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
 
 
-def apply_residuals(rgb: Floats, rows: slice, shape: tuple[int, int], isp: ImageProcessor) -> Floats:
-    """camera_rgb `(n, w, c)` of `rows` of an image of this `shape`, with what corrections leave.
+def correct_shading(
+    rgb: Floats, rows: slice, shape: tuple[int, int], isp: ImageProcessor, falloff: NDArray[np.float64]
+) -> Floats:
+    """camera_rgb `(n, w, c)` of some rows with the errors of black level and shading correction.
 
-    The residual of the lens shading is a factor of 1 + s r^2, where r is 1 in the image's corners.
+    Args:
+        rgb: camera_rgb of these rows.
+        rows: of the image.
+        shape: rows and columns of the image.
+        isp: the processor. The residual of its correction is a factor of 1 + s r^2; r is 1 in the corners.
+        falloff: `(n, w)` of the lens, 1 on its axis.
     """
     rgb = rgb + np.float32(isp.black_level_error or 0.0)
+    if isp.shading_correction:
+        rgb *= (falloff**-isp.shading_correction).astype(np.float32)[..., None]
     red, blue = isp.shading_cast or (0.0, 0.0)
     residual = np.array([red, 0.0, blue] if rgb.shape[2] == 3 else [0.0]) + (isp.shading or 0.0)
     height, width = shape

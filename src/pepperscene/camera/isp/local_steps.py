@@ -79,8 +79,9 @@ def _smooth_chroma(difference: Floats, strength: float) -> Floats:
 
 
 def map_locally(luma: Floats, mapping: float, contrast: float) -> Floats:
-    """`(h, w)` luma whose base layer is moved to its mean by a share, and whose details are amplified.
+    """`(h, w)` luma whose base layer is moved towards its mean, and whose details are amplified.
 
+    The base B is moved by 3 B (1 - B) `mapping` of the way, which keeps black, white and the order of tones.
     Base and detail are those of a guided filter (Durand and Dorsey 2002, ACM Trans. Graph. 21:257, with a
     bilateral one), computed at a lower resolution (He and Sun 2015, arXiv:1505.00996).
     """
@@ -91,8 +92,11 @@ def map_locally(luma: Floats, mapping: float, contrast: float) -> Floats:
     slope, base = (_enlarged(part, luma.shape, _BASE_SCALE) for part in coefficients)
     slope *= luma
     base += slope
-    mean = np.float32(base.mean(dtype=np.float64))
-    return luma + np.float32(contrast) * (luma - base) + np.float32(mapping) * (mean - base)
+    mapped = luma + np.float32(contrast) * (luma - base)
+    if mapping:
+        mean = np.float32(base.mean(dtype=np.float64))
+        mapped += np.float32(3 * mapping) * np.clip(base - base * base, 0, None) * (mean - base)
+    return mapped
 
 
 def sharpen(luma: Floats, amount: float, radius_px: float, threshold: float) -> Floats:

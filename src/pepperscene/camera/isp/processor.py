@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from pepperscene.units import Fraction, Name, Table, single_message, within
 
@@ -24,8 +24,17 @@ Points = tuple[tuple[float, float], ...]
 Rows = Annotated[tuple[tuple[Fraction, Fraction], ...], Field(min_length=2, max_length=MOST_POINTS)]
 
 _CURVE: Final = single_message(
-    f"must be {', '.join(TONE_CURVES)}, the path of a CSV file, or pairs of light and code, each 0 to 1"
+    f"must be {', '.join(TONE_CURVES)}, the path of a .csv file, or pairs of light and code, each 0 to 1"
 )
+
+
+def _check_curve_name(name: str) -> str:
+    if name not in TONE_CURVES and not name.lower().endswith(".csv"):
+        raise ValueError("no such curve")
+    return name
+
+
+CurveName = Annotated[Name, AfterValidator(_check_curve_name)]
 
 
 @dataclass(frozen=True)
@@ -38,8 +47,10 @@ class ImageProcessor(Table):
         preset: shipped name or path of a file with the values that are not given here.
         black_level_error: what remains of the black level, a fraction of full scale; negative values crush
             dark colours.
-        shading: residual of the lens shading correction, added to a factor of 1 at the image's corners; it
-            falls to 0 at the centre with the square of the distance.
+        shading_correction: share of the lens' fall-off towards the corners that is corrected; 1 makes an even
+            surface even.
+        shading: residual of that correction, added to a factor of 1 at the image's corners; it falls to 0 at
+            the centre with the square of the distance.
         shading_cast: the same for red and blue alone.
         chromatic_aberration_px: of the lens: how far red and blue are displaced outwards, against green, at
             the corners. Green, and so the labels, stay where they are.
@@ -51,7 +62,7 @@ class ImageProcessor(Table):
         contrast: how far codes follow the S-curve 3x^2 - 2x^3; negative values flatten.
         luma_noise_reduction: smooths where codes of luma differ by less than about this fraction of white.
         chroma_noise_reduction: the same for chroma, over twice the distance.
-        local_tone_mapping: how far brightness is evened out over large areas; 1 leaves only details.
+        local_tone_mapping: how far the brightness of large areas is moved to the mean; black and white stay.
         local_contrast: by what share details of these areas are amplified.
         sharpening: amount of an unsharp mask of luma.
         sharpening_radius_px: standard deviation of its Gaussian.
@@ -65,12 +76,13 @@ class ImageProcessor(Table):
 
     preset: Name | None = None
     black_level_error: Annotated[float, within(-0.2, 0.2)] | None = None
+    shading_correction: Fraction | None = None
     shading: Annotated[float, within(-0.9, 1)] | None = None
     shading_cast: RedBlue | None = None
     chromatic_aberration_px: tuple[Pixels, Pixels] | None = None
     chromatic_correction: Fraction | None = None
     saturation: Annotated[float, within(0, 4)] | None = None
-    tone_curve: Annotated[Name | Rows | None, _CURVE] = None
+    tone_curve: Annotated[CurveName | Rows | None, _CURVE] = None
     gamma: Annotated[float, within(0.5, 5)] | None = None
     contrast: Annotated[float, within(-1, 1)] | None = None
     luma_noise_reduction: Annotated[float, within(0, 0.5)] | None = None
