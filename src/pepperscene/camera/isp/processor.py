@@ -41,7 +41,8 @@ CurveName = Annotated[Name, AfterValidator(_check_curve_name)]
 class ImageProcessor(Table):
     """An image signal processor: steps in this order, from the colours of the sensor to an 8-bit image.
 
-    A value that is not given is the preset's; without one, its step is left out.
+    A value that is not given is the preset's; without one, its step is left out. Rows of a tone curve that do
+    not rise are a ValueError; see `tone_points`.
 
     Attributes:
         preset: shipped name or path of a file with the values that are not given here.
@@ -56,22 +57,19 @@ class ImageProcessor(Table):
             the corners. Green, and so the labels, stay where they are.
         chromatic_correction: share of the aberration that is corrected.
         saturation: factor on the difference from grey, in linear light; 0 is grey.
-        tone_curve: from linear light to code, instead of `Developing.tone`: a name, a CSV file with the
+        tone_curve: from linear light to code, instead of `developing.tone`: a name, a CSV file with the
             columns `light` and `code`, or its rows.
-        gamma: of the tone curve "gamma": code is light to the power of 1/gamma.
-        contrast: how far codes follow the S-curve 3x^2 - 2x^3; negative values flatten.
+        gamma: of the tone curve `gamma`: code is light to the power of 1/gamma; 2.2 without a value.
+        contrast: how far codes follow the S-curve 3x² − 2x³; negative values flatten.
         luma_noise_reduction: smooths where codes of luma differ by less than about this fraction of white.
         chroma_noise_reduction: the same for chroma, over twice the distance.
         local_tone_mapping: how far the brightness of large areas is moved to the mean; black and white stay.
         local_contrast: by what share details of these areas are amplified.
         sharpening: amount of an unsharp mask of luma.
-        sharpening_radius_px: standard deviation of its Gaussian.
+        sharpening_radius_px: standard deviation of its Gaussian; 1 without a value.
         sharpening_threshold: smaller differences, as fractions of white, are not sharpened.
-        jpeg_quality: of the output `photo`, as of the Independent JPEG Group.
-        jpeg_subsampling: of its chroma.
-
-    Raises:
-        ValueError: the points of a tone curve do not rise, or do not run from light 0 to light 1.
+        jpeg_quality: of the output `photo`, on the scale of the Independent JPEG Group; 90 without a value.
+        jpeg_subsampling: of its chroma; `4:2:0` without a value.
     """
 
     preset: Name | None = None
