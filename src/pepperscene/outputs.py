@@ -127,18 +127,10 @@ _PHOTO: Final[frozenset[Need]] = frozenset({"light", "colours"})
 _BANDS: Final[frozenset[Need]] = frozenset({"light", "bands"})
 _IMAGER: Final[frozenset[Need]] = frozenset({"light", "depth_camera"})
 _CLASSES: Final = tuple(organ_class.name.lower() for organ_class in OrganClass)
+_AS_JPEG: Final = "the same as a JPEG file with EXIF, see [below](#photographs-as-jpeg-files)"
 _ALL: Final = (
     Output("colour", "(h, w, 3)", "uint8", "sRGB", "the developed photograph", needs=_PHOTO, field="colour"),
-    Output(
-        "photo",
-        "(h, w, 3)",
-        "uint8",
-        "sRGB",
-        "the same as a JPEG file with EXIF, see [below](#photographs-as-jpeg-files)",
-        needs=_PHOTO,
-        is_photo=True,
-        field="colour",
-    ),
+    Output("photo", "(h, w, 3)", "uint8", "sRGB", _AS_JPEG, needs=_PHOTO, is_photo=True, field="colour"),
     Output(
         "raw",
         "(H, W)",

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.isp.processor import ImageProcessor
-from pepperscene.version import __version__
 
 QUALITY: Final = 90  # chosen: as cameras store by default
 SUBSAMPLING: Final = "4:2:0"  # chosen: as most cameras do
@@ -32,7 +31,7 @@ def photo_description(camera: Camera) -> dict[str, Any]:
         "exif": {
             "Make": camera.sensor.name.partition(" ")[0],
             "Model": camera.sensor.name,
-            "Software": f"pepperscene {__version__}",
+            "Software": "pepperscene",
             "ExposureTime": float(camera.exposure_s),
             "FNumber": float(camera.lens.f_number),
             "ISOSpeedRatings": round(_BASE_ISO * camera.sensor.gain),
