@@ -19,8 +19,7 @@ from pepperscene.user_files import FileKind
 
 Need = Literal["light", "surfaces", "colours", "bands", "stereo", "depth_camera", "tissue", "meters"]
 """What an output can need: traced light, the spectra of the surfaces, a sensor with colours (or a monochrome
-one) or with bands, the stereo partner of the camera, a depth camera, the contents of tissue, or meters on
-surfaces."""
+one) or with bands, the stereo partner, a depth camera, contents of tissue, or meters on surfaces."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,6 @@ class Output:
         needs: what it is rendered from; otherwise rays through the pixels suffice.
         channel_names: names along the third axis in an EXR file, unless they are those of the sensor.
         in_runs: whether its rows consist of runs of equal values, which compress well.
-        is_photo: whether its file is a JPEG, with the settings and the EXIF of the frame's JSON.
         padding: value of pixels outside the image.
         limits: smallest and largest value of an output whose other pixels, such as the sky, have `padding`.
         field: of `LabelledImage` that it is read into; empty for none.
@@ -52,7 +50,6 @@ class Output:
     needs: frozenset[Need] = frozenset()
     channel_names: tuple[str, ...] = ()
     in_runs: bool = False
-    is_photo: bool = False
     padding: float = 0.0
     limits: tuple[float, float] | None = None
     field: str = ""
@@ -70,7 +67,7 @@ class Output:
     @property
     def suffix(self) -> str:
         """Suffix of its file in a data set."""
-        if self.is_photo:
+        if self.name == "photo":
             return ".jpg"
         return ".json" if not self.is_image else ".exr" if self.dtype.startswith("float") else ".png"
 
@@ -127,10 +124,9 @@ _PHOTO: Final[frozenset[Need]] = frozenset({"light", "colours"})
 _BANDS: Final[frozenset[Need]] = frozenset({"light", "bands"})
 _IMAGER: Final[frozenset[Need]] = frozenset({"light", "depth_camera"})
 _CLASSES: Final = tuple(organ_class.name.lower() for organ_class in OrganClass)
-_AS_JPEG: Final = "the same as a JPEG file with EXIF, see [below](#photographs-as-jpeg-files)"
 _ALL: Final = (
     Output("colour", "(h, w, 3)", "uint8", "sRGB", "the developed photograph", needs=_PHOTO, field="colour"),
-    Output("photo", "(h, w, 3)", "uint8", "sRGB", _AS_JPEG, needs=_PHOTO, is_photo=True, field="colour"),
+    Output("photo", "(h, w, 3)", "uint8", "sRGB", "the same as [JPEG](#jpeg)", needs=_PHOTO, field="colour"),
     Output(
         "raw",
         "(H, W)",

@@ -266,7 +266,7 @@ def _file_of(output: Output) -> str:
         return "JSON"
     if output.suffix in (".png", ".jpg"):
         bits = f"{8 * np.dtype(output.dtype).itemsize} bit"
-        return ("JPEG, " if output.is_photo else "PNG, ") + ("3 × " if output.channels else "") + bits
+        return ("JPEG, " if output.suffix == ".jpg" else "PNG, ") + ("3 × " if output.channels else "") + bits
     channels = " ".join(f"`{name}`" for name in output.channel_names or (output.name,))
     if output.has_channels:
         channels = "`B01.475nm` …" if "bands" in output.needs else channels + ", or `Y`"

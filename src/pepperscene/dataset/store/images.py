@@ -76,7 +76,7 @@ def encode_image(
         return canonical_json(image)
     if expected.suffix == ".exr":
         return _exr_bytes(image, output, bands)
-    if expected.is_photo:
+    if expected.suffix == ".jpg":
         return jpeg_bytes(image, photo)
     if output == "class":
         return png_bytes(image, class_palette(ignored=int(image.max(initial=0)) >= len(OrganClass)))
