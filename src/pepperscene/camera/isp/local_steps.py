@@ -44,8 +44,8 @@ def guided_filter(plane: Floats, radius: int, edge: float) -> Floats:
 
     The filter of He, Sun and Tang (2013, IEEE Trans. Pattern Anal. Mach. Intell. 35:1397), guided by the
     image itself: edge-preserving as a bilateral filter is, with the bilateral filter's parameter sigma_r as
-    `edge`. It takes 12 ms for 800 x 600 pixels at any radius; a bilateral filter takes 3 ms in OpenCV, which
-    would be a further library, and seconds in scikit-image.
+    `edge`. It takes 10 ms for 800 x 600 pixels, at any radius. The bilateral filter of scikit-image takes 77;
+    that of OpenCV takes 3, but OpenCV is no dependency, and its results depend on the processor.
     """
     slope, offset = _guided_coefficients(plane, radius, edge)
     slope *= plane
