@@ -33,6 +33,7 @@ from pepperscene.camera.isp.local_steps import (
     reduce_noise,
     sharpen,
 )
+from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.units import table_fields
 
 PRESETS = ("webcam", "realsense_colour", "telephone", "machine_vision")
@@ -361,6 +362,16 @@ def test_two_hundred_random_processors_give_images(part):
         assert image.dtype == np.uint8
         assert image.shape == (ROWS, COLUMNS, 3)
     assert len(seen) == 17
+
+
+def test_large_images_are_processed_as_small_ones(monkeypatch):
+    electrons = picture() * SENSOR.full_well_e
+    isp = load_processor("webcam").completed(load_processor("telephone"))
+    whole = processed(isp, electrons)
+    monkeypatch.setattr("pepperscene.camera.sensor.rows.LARGEST_WHOLE", 1000)
+    monkeypatch.setattr("pepperscene.camera.sensor.rows.STRIP_PIXELS", 700)
+    assert len(row_strips(COLUMNS, ROWS)) > 3
+    assert (processed(isp, electrons) == whole).all()
 
 
 @pytest.mark.parametrize("name", PRESETS)
