@@ -124,7 +124,7 @@ def evaluate(
             or the model's classes cannot be merged to `classes`.
     """
     sets = (sets,) if isinstance(sets, ImageSet) else tuple(sets)
-    _check_sets(sets, limit)
+    check_sets(sets, limit)
     table = model.classes if classes is None else classes
     merging = None if classes is None else classes.merging(model.classes)
 
@@ -135,7 +135,7 @@ def evaluate(
     summaries = []
     for number, (images, chosen) in enumerate(zip(sets, positions, strict=True)):
         before = len(measured)
-        for position, image in _read_images(images, chosen):
+        for position, image in read_images(images, chosen):
             if image.classes is not None:
                 measured.append(_measure_image(model, table, merging, image, (number, position)))
             done += 1
@@ -164,7 +164,8 @@ def fruit_class(classes: ClassTable) -> int | None:
     return classes.members.index(fruit) if fruit in classes.members else None
 
 
-def _check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
+def check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
+    """Raise an error if there is nothing to evaluate."""
     if not sets:
         raise ArgumentError("sets", "must hold at least one set of images")
     if limit is not None and limit < 1:
@@ -174,7 +175,7 @@ def _check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
             raise InputError(images.name, "holds no images")
 
 
-def _read_images(images: ImageSet, positions: Sequence[int]) -> Iterator[tuple[int, LabelledImage]]:
+def read_images(images: ImageSet, positions: Sequence[int]) -> Iterator[tuple[int, LabelledImage]]:
     """The images at these positions, of which only what evaluation needs is read."""
     selected = images.select(*_FIELDS)
     for position in positions:
