@@ -71,9 +71,12 @@ from .learning import ClassTable as ClassTable
 from .learning import Evaluation as Evaluation
 from .learning import TrainingOptions as TrainingOptions
 from .learning import evaluate as evaluate
+from .learning import evaluate_detector as evaluate_detector
 from .learning import predict as predict
 from .learning import write_evaluation as write_evaluation
+from .learning.models import Detections as Detections
 from .learning.models import TrainedModel as TrainedModel
+from .learning.models import export_model as export_model
 from .learning.models import load_model as load_model
 from .learning.training import train as train
 from .live import LiveScene as LiveScene

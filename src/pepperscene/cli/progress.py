@@ -243,9 +243,7 @@ def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
                 text += f", {progress.quality}"
                 if bar is not None:
                     bar[0].console.print(text, markup=False, highlight=False)
-            if bar is None and (
-                throttle.is_due(progress.step, progress.steps) or progress.quality
-            ):
+            if bar is None and (throttle.is_due(progress.step, progress.steps) or progress.quality):
                 echo_progress(f"{text} ({rate})")
 
         yield show

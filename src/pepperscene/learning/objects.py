@@ -13,6 +13,7 @@ from pepperscene.dataset.readers.torch_data import DetectionObjects, find_object
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.measures import connected_objects
 
+
 def object_indices(table: ClassTable, classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Index of each pixel's class, `len(table)` for those of no class, `IGNORE_CLASS` for void ones."""
     indices = table.indices(classes)

@@ -86,7 +86,7 @@ class TrainingOptions:
     Attributes:
         task: "segment" gives each pixel a class; "detect" finds objects, with boxes and masks.
         model: text for `build_model`; a detector is made of `small` or `efficientnet_lite0`.
-        classes: text for `ClassTable.parse`; None for all eight classes, or for fruit and peduncles as objects.
+        classes: text for `ClassTable.parse`; None for all eight classes, or for fruit and peduncles.
         size: height and width in pixels of the crops that the network sees.
         width: to which images are scaled before they are cropped, and later before they are segmented; None
             to keep their own.
@@ -94,8 +94,8 @@ class TrainingOptions:
         schedule: of the learning rate: "constant", or "cosine": a warm-up of a twentieth of the steps, then
             half a cosine down to zero.
         balance: the loss weights a class by its frequency to the power of minus this; not that of a detector.
-        least_area: least pixels of an object, in images of `width`; smaller ones count neither for nor against
-            a detector, because a person would not label them.
+        least_area: least pixels of an object, in images of `width`; smaller ones count neither for nor
+            against a detector, because a person would not label them.
         validate: number of steps between validations and checkpoints; None for a tenth of all.
         precision: "float32", "bfloat16", or "auto": bfloat16 where the processor has instructions for it.
         workers: processes that read images; 0 for this one. They do not change the result.

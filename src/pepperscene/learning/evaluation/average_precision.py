@@ -17,6 +17,7 @@ from pepperscene.libraries import import_library
 _ALL_AREAS: Final = 0  # position of the range of all areas in the arrays of pycocotools
 _MOST_OBJECTS: Final = -1  # position of the largest number of objects of an image, 100
 _AT_HALF: Final = 0  # position of the IoU .5
+_BOX_DECIMALS: Final = 3  # chosen: thousandths of a pixel
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def record(
 ) -> dict[str, Any]:
     """The record of an object: its box `(4,)` of sides and its mask `(h, w)`."""
     coder = import_library("pycocotools.mask")
-    left, top, right, bottom = (float(side) for side in box)
+    left, top, right, bottom = (round(float(side), _BOX_DECIMALS) for side in box)
     segmentation = coder.encode(np.asfortranarray(mask, np.uint8))
     return {
         "image_id": image,

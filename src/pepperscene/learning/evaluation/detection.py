@@ -32,7 +32,7 @@ from pepperscene.review.report.data import evenly_spaced
 
 FORMAT: Final = "pepperscene detection 1"
 _MOST_IGNORED: Final = 0.5
-"""Share of a detection in ignored pixels above which it is left out, as for the crowds of COCO at an IoU of .5."""
+"""Share of a detection in ignored pixels above which it is left out, as in the crowds of COCO at an IoU of .5."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,19 @@ class DetectionEvaluation:
 
     Attributes:
         sets: whose images are evaluated.
+        table: classes that are evaluated.
         classes: the measures of each class.
         least_area: least pixels of an object, in images of the model's width.
         least_score: from which detections are decided to be objects.
+        regions: whether connected regions are objects where images have no instances.
     """
 
     sets: tuple[EvaluatedSet, ...]
+    table: ClassTable
     classes: tuple[DetectedClass, ...]
     least_area: int
     least_score: float
+    regions: bool
 
     @property
     def mean_ap50(self) -> float:
@@ -130,8 +134,8 @@ def evaluate_detector(
     """Compare the objects that a detector finds with the labelled ones, by COCO's average precision.
 
     Objects that were too small for the training are ignored, and so are void pixels and pixels of a class
-    without an instance: a detection of which more than half is there, and whose box has an IoU of less than .5
-    with all labelled ones of its class, is left out. Images without a mask are left out and counted.
+    without an instance: a detection of which more than half is there, and whose box has an IoU below .5 with
+    all labelled ones of its class, is left out. Images without a mask are left out and counted.
 
     Args:
         model: a trained detector.
@@ -162,7 +166,7 @@ def evaluate_detector(
         before = number
         for _, image in read_images(images, chosen):
             if image.classes is not None:
-                objects, ignored = _objects(images.name, image, model, table, regions)
+                objects, ignored = evaluated_objects(images.name, image, model, table, regions)
                 assert image.colour is not None
                 detections = model.detections(image.colour)
                 own = [
@@ -178,7 +182,9 @@ def evaluate_detector(
                 on_progress(done, total)
         if number == before:
             raise InputError(images.name, "holds no image with a mask")
-        summaries.append(EvaluatedSet(images.name, len(images), number - before, len(chosen) - number + before))
+        summaries.append(
+            EvaluatedSet(images.name, len(images), number - before, len(chosen) - number + before)
+        )
 
     # Measures by boxes and by masks, with the same objects.
     records = ObjectRecords(number, truth, found)
@@ -188,18 +194,22 @@ def evaluate_detector(
     results = tuple(
         DetectedClass(name, box, mask, measure_objects(count, weights)) for name, box, mask, count in measured
     )
-    return DetectionEvaluation(tuple(summaries), results, least_area_of(model), least_score)
+    return DetectionEvaluation(tuple(summaries), table, results, _least_area_of(model), least_score, regions)
 
 
-def least_area_of(model: TrainedModel) -> int:
+def _least_area_of(model: TrainedModel) -> int:
     """Least pixels of an object in the training of a detector, in images of its width."""
     return int(model.training.get("options", {}).get("least_area", 1))
 
 
-def _objects(
+def evaluated_objects(
     name: str, image: LabelledImage, model: TrainedModel, table: ClassTable, regions: bool
 ) -> tuple[DetectionObjects, NDArray[np.bool_]]:
-    """Labelled objects and ignored pixels of an image; its own pixels may be smaller than the network's."""
+    """Labelled objects and ignored pixels of an image in a set of this name.
+
+    Raises:
+        InputError: the image has no colours, or no instances.
+    """
     if image.colour is None:
         raise InputError(image.name, "has no colours, from which a model predicts")
     assert image.classes is not None
@@ -208,8 +218,9 @@ def _objects(
     if instances is None:
         problem = f"{image.name} has a mask without numbers of instances, with which detections are compared"
         raise InputError(name, f"{problem}; --regions takes connected regions as objects")
+    # Areas are those of the network's image, whose pixels may be larger.
     factor = 1.0 if model.width is None else image.size[1] / model.width
-    return labelled_objects(indices, instances, len(table), least_area_of(model) * factor**2)
+    return labelled_objects(indices, instances, len(table), _least_area_of(model) * factor**2)
 
 
 def _detected(

@@ -13,7 +13,7 @@ LEAST_SCORE: Final = 0.05
 """Of objects that are kept. Chosen: less certain ones are noise, and measures hardly change without them."""
 
 DECIDED_SCORE: Final = 0.3
-"""From which a detection is taken for an object. Chosen: scores of centres are lower than shares of pixels."""
+"""From which a detection is an object. Chosen: scores of centres are lower than probabilities of pixels."""
 
 STRIDE: Final = 4
 """Pixels of a cell of the head of a detector."""
@@ -60,7 +60,7 @@ class Detections:
         return len(self.scores)
 
     def mask(self, number: int) -> NDArray[np.bool_]:
-        """The mask `(h, w)` of an object: pixels in its box whose interpolated probability is above a half."""
+        """The mask `(h, w)` of an object: pixels of its box with an interpolated probability above a half."""
         left, top = np.floor(self.boxes[number, :2]).astype(int)
         right, bottom = np.minimum(np.ceil(self.boxes[number, 2:]).astype(int), self.size[::-1])
         mask = np.zeros(self.size, bool)

@@ -40,8 +40,8 @@ class ObjectMaps(NamedTuple):
 
     Attributes:
         centres: `(n, k, h', w')` logits that the centre of an object of a class is there.
-        distances: `(n, 4, h', w')` pixels from the middle of the cell to the left, upper, right and lower side.
-        weights: `(n, 22, h', w')` of the prototypes and of the quadratic form, in the mask of an object there.
+        distances: `(n, 4, h', w')` pixels from the cell's middle to the left, upper, right and lower side.
+        weights: `(n, 22, h', w')` of prototypes and of the quadratic form, in the mask of an object there.
         prototypes: `(n, 16, h', w')`.
     """
 
@@ -58,8 +58,7 @@ class FoundObjects(NamedTuple):
         boxes: `(m, 4)` left, upper, right and lower side in pixels.
         scores: `(m,)` from 0 to 1, descending; 0 for those that repeat a more certain one.
         labels: `(m,)` index of the class.
-        masks: `(m, h', w')` probability in each cell of 4 x 4 pixels that it belongs to the object; 0 outside of
-            the box.
+        masks: `(m, h', w')` probability that a cell of 4 x 4 pixels belongs to the object; 0 far from the box.
     """
 
     boxes: torch.Tensor

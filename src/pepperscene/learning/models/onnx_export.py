@@ -36,8 +36,8 @@ class OnnxFile:
     Attributes:
         file: its path.
         size: height and width in pixels of the images that it takes.
-        difference: largest difference from torch for an image of random pixels: of probabilities, or of scores
-            and of what the network of a detector predicts, relative to values above 1.
+        difference: largest difference from torch for an image of random pixels: of probabilities, or of
+            scores and of what the network of a detector predicts, relative to values above 1.
     """
 
     file: Path
@@ -49,10 +49,8 @@ def export_model(model: TrainedModel, out: str | Path, size: tuple[int, int] | N
     """Write a network as an ONNX file, and compare it with torch by onnxruntime on the CPU.
 
     Its input `image` `(1, 3, h, w)` float32 is an sRGB image, 0 to 1, of a fixed size. Its outputs are
-    `probabilities` `(1, k, h, w)`, or of a detector `boxes` `(m, 4)` of left, upper, right and lower side in pixels,
-    `scores` `(m,)`, which descend, except that an object that repeats another one has 0, `labels` `(m,)` and
-    `masks` `(m, h', w')`, probabilities in cells of 4 x 4 pixels. Metadata of the file say classes, colours, scale
-    of the input, task and version.
+    `probabilities` `(1, k, h, w)`, or of a detector `boxes`, `scores`, `labels` and `masks` as of `FoundObjects`.
+    Metadata of the file say classes, colours, scale of the input, task and version.
 
     Args:
         model: a trained network.
@@ -68,7 +66,9 @@ def export_model(model: TrainedModel, out: str | Path, size: tuple[int, int] | N
     width = model.width or _WIDTH
     chosen = size or (round(width * 3 / 4), width)
     if not all(LEAST_SIDE <= side <= MOST_SIDE for side in chosen):
-        raise ArgumentError("size", f"must be two numbers of pixels, {LEAST_SIDE} to {MOST_SIDE}, not {chosen}")
+        raise ArgumentError(
+            "size", f"must be two numbers of pixels, {LEAST_SIDE} to {MOST_SIDE}, not {chosen}"
+        )
     file = Path(out)
     check_can_write(file.parent, (file.name,))
     content, difference = _convert(model, chosen)
@@ -90,7 +90,7 @@ def _convert(model: TrainedModel, size: tuple[int, int]) -> tuple[bytes, float]:
 
     import_library("onnxscript", EXTRA)
     module = _exported_module(model)
-    # The maps of a detector are outputs for the comparison only: objects of nearly equal scores can change places.
+    # Maps of a detector are outputs for the comparison only: objects of nearly equal scores can change places.
     count, checked = len(OUTPUTS[model.task]), ObjectMaps._fields if model.task == "detect" else ()
     names = [*OUTPUTS[model.task], *checked]
     pixels = np.random.default_rng(0).random((1, 3, *size), np.float32)
@@ -99,11 +99,21 @@ def _convert(model: TrainedModel, size: tuple[int, int]) -> tuple[bytes, float]:
     silence = io.StringIO()
     logging.disable(logging.WARNING)
     try:
-        with redirect_stdout(silence), redirect_stderr(silence), warnings.catch_warnings(), torch.inference_mode():
+        with (
+            redirect_stdout(silence),
+            redirect_stderr(silence),
+            warnings.catch_warnings(),
+            torch.inference_mode(),
+        ):
             warnings.simplefilter("ignore")
             expected = module(inputs)
             program = torch.onnx.export(
-                module, (inputs,), input_names=["image"], output_names=names, opset_version=_OPSET, dynamo=True
+                module,
+                (inputs,),
+                input_names=["image"],
+                output_names=names,
+                opset_version=_OPSET,
+                dynamo=True,
             )
     except (RuntimeError, ValueError, TypeError) as error:
         reason = str(error).strip().split("\n")[0]

@@ -39,7 +39,9 @@ class ObjectTargets(NamedTuple):
     masks: torch.Tensor
 
 
-def object_targets(labels: torch.Tensor, cells: tuple[int, int], classes: int, least_area: int) -> ObjectTargets:
+def object_targets(
+    labels: torch.Tensor, cells: tuple[int, int], classes: int, least_area: int
+) -> ObjectTargets:
     """Targets of one crop.
 
     Args:

@@ -42,10 +42,11 @@ def train(
     """Train a network, and write it into a folder.
 
     The folder holds `model.safetensors` (the network, after the best validation or else the last step),
-    `state.safetensors` (all that a resumption needs), `training.jsonl` (loss and validations) and, at the end,
-    `model_card.md` (what the network is for, and how it was made). A training that was killed and is resumed ends with the same bytes as one that was not, on the processor of the same
-    machine with the same number of threads: crops and dropout depend on the seed and the number of the step
-    alone. On a GPU the order of sums varies.
+    `state.safetensors` (all that a resumption needs), `training.jsonl` (loss and validations) and, at the
+    end, `model_card.md` (what the network is for, and how it was made). A training that was killed and is
+    resumed ends with the same bytes as one that was not, on the processor of the same machine with the same
+    number of threads: crops and dropout depend on the seed and the number of the step alone. On a GPU the
+    order of sums varies.
 
     Args:
         sets: labelled images, of one set or several. A set that occurs twice counts twice.

@@ -53,29 +53,26 @@ class TrainingSamples(torch.utils.data.Dataset):
         arrays = self._read(self._sets[which], position)
         # Random changes depend on the number alone, not on the worker that makes them.
         rng = np.random.default_rng([self._seed, 1, int(number)])
-        arrays = self._augmentation.apply(arrays, rng)
-        image = torch.from_numpy(np.ascontiguousarray(arrays["image"].transpose(2, 0, 1)))
-        labels = arrays["mask"]
+        changed = self._augmentation.apply(arrays, rng)
+        image = torch.from_numpy(np.ascontiguousarray(changed["image"].transpose(2, 0, 1)))
+        labels = changed["mask"]
         if self._detects:
-            labels = np.stack([labels, arrays["instances"]]).astype(np.int32)
+            labels = np.stack([labels, changed["instances"]]).astype(np.int32)
         return image, torch.from_numpy(np.ascontiguousarray(labels))
 
     def _read(self, images: ImageSet, position: int) -> dict[str, NDArray[Any]]:
         image = images[position]
-        needed = {"colour image": image.colour, "mask": image.classes}
+        needed: dict[str, Any] = {"colour image": image.colour, "mask": image.classes}
         if self._detects:
             needed["image of instances"] = image.instances
         for name, array in needed.items():
             if array is None:
                 raise InputError(images.name, f"{image.name} has no {name}, which training needs")
-        assert image.colour is not None
         assert image.classes is not None
-        if not self._detects:
-            arrays = {"image": image.colour, "mask": self._labels.indices(image.classes)}
-        else:
-            assert image.instances is not None
-            indices = object_indices(self._labels, image.classes)
-            arrays = {"image": image.colour, "mask": indices, "instances": image.instances}
+        indices = object_indices if self._detects else ClassTable.indices
+        arrays: dict[str, Any] = {"image": image.colour, "mask": indices(self._labels, image.classes)}
+        if self._detects:
+            arrays["instances"] = image.instances
         return _scaled(arrays, self._width)
 
 
