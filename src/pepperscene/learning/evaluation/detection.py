@@ -32,7 +32,7 @@ from pepperscene.review.report.data import evenly_spaced
 
 FORMAT: Final = "pepperscene detection 1"
 _MOST_IGNORED: Final = 0.5
-"""Share of a detection in ignored pixels above which it is left out, as in the crowds of COCO at an IoU of .5."""
+"""Share of a detection in ignored pixels above which it is left out, as for COCO's crowds at an IoU of .5."""
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class FoundObjects(NamedTuple):
         boxes: `(m, 4)` left, upper, right and lower side in pixels.
         scores: `(m,)` from 0 to 1, descending; 0 for those that repeat a more certain one.
         labels: `(m,)` index of the class.
-        masks: `(m, h', w')` probability that a cell of 4 x 4 pixels belongs to the object; 0 far from the box.
+        masks: `(m, h', w')` probability that a cell of 4 x 4 pixels belongs to the object; 0 off the box.
     """
 
     boxes: torch.Tensor

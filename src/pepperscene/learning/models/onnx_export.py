@@ -49,8 +49,8 @@ def export_model(model: TrainedModel, out: str | Path, size: tuple[int, int] | N
     """Write a network as an ONNX file, and compare it with torch by onnxruntime on the CPU.
 
     Its input `image` `(1, 3, h, w)` float32 is an sRGB image, 0 to 1, of a fixed size. Its outputs are
-    `probabilities` `(1, k, h, w)`, or of a detector `boxes`, `scores`, `labels` and `masks` as of `FoundObjects`.
-    Metadata of the file say classes, colours, scale of the input, task and version.
+    `probabilities` `(1, k, h, w)`, or of a detector `boxes`, `scores`, `labels` and `masks`, as of
+    `FoundObjects`. Metadata of the file say classes, colours, scale of the input, task and version.
 
     Args:
         model: a trained network.
@@ -90,7 +90,7 @@ def _convert(model: TrainedModel, size: tuple[int, int]) -> tuple[bytes, float]:
 
     import_library("onnxscript", EXTRA)
     module = _exported_module(model)
-    # Maps of a detector are outputs for the comparison only: objects of nearly equal scores can change places.
+    # Maps of a detector are outputs for the comparison only: objects of nearly equal scores change places.
     count, checked = len(OUTPUTS[model.task]), ObjectMaps._fields if model.task == "detect" else ()
     names = [*OUTPUTS[model.task], *checked]
     pixels = np.random.default_rng(0).random((1, 3, *size), np.float32)
