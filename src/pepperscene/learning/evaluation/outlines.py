@@ -21,7 +21,7 @@ RESULTS_NAME: Final = "detections.json"
 IMAGES_NAME: Final = "images.json"
 
 _SIDE_OF_LINE: Final = 400  # chosen: pixels of an image's longer side for one of a line's width
-_LINES_OF_TEXT: Final = 7  # chosen: height of a text, in widths of lines; it is at least _LEAST_TEXT pixels
+_LINES_OF_TEXT: Final = 5  # chosen: height of a text in widths of lines, with _LEAST_TEXT pixels or more
 _LEAST_TEXT: Final = 9
 
 Outline = tuple[NDArray[np.bool_], tuple[int, ...], str]
@@ -43,10 +43,12 @@ def draw_outlines(colour: NDArray[np.uint8], outlines: Iterable[Outline]) -> NDA
         inside = mask[box]
         drawn[box][ndimage.binary_dilation(inside, iterations=width) & ~inside] = shade
         texts.append(((int(left), int(top)), shade, text))
-    picture = Image.fromarray(drawn)
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(max(_LEAST_TEXT, _LINES_OF_TEXT * width))
-    for place, shade, text in texts:
-        draw.text(place, text, shade, font, stroke_width=width, stroke_fill=(0, 0, 0))
+    # Texts are above the outlines, so that they hide no object.
+    picture, height = Image.fromarray(drawn), max(_LEAST_TEXT, _LINES_OF_TEXT * width)
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(height)
+    for (left, top), shade, text in texts:
+        place = (left, max(0, top - height - 2))
+        draw.text(place, text, shade, font, stroke_width=1, stroke_fill=(0, 0, 0))
     return np.asarray(picture)
 
 

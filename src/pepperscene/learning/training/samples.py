@@ -72,7 +72,8 @@ class TrainingSamples(torch.utils.data.Dataset):
         indices = object_indices if self._detects else ClassTable.indices
         arrays: dict[str, Any] = {"image": image.colour, "mask": indices(self._labels, image.classes)}
         if self._detects:
-            arrays["instances"] = image.instances
+            # Pillow takes other pixels of 16-bit images than of class images.
+            arrays["instances"] = image.instances.astype(np.int32)
         return _scaled(arrays, self._width)
 
 
