@@ -5,8 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,50 +13,32 @@ from numpy.typing import NDArray
 from pepperscene.learning.evaluation.measures import ObjectCounts
 from pepperscene.libraries import import_library
 
-_ALL_AREAS: Final = 0  # position of the range of all areas in the arrays of pycocotools
-_MOST_OBJECTS: Final = -1  # position of the largest number of objects of an image, 100
-_AT_HALF: Final = 0  # position of the IoU .5
+_AT_HALF: Final = 0  # position of the IoU .5 in the arrays of pycocotools
 _BOX_DECIMALS: Final = 3  # chosen: thousandths of a pixel
 
+Records = Sequence[Mapping[str, Any]]
+"""Objects as annotations of COCO without `id`, as of `object_record`, with `score` if they are detected."""
 
-@dataclass(frozen=True)
-class AveragePrecision:
-    """Average precision of a class; None if no image has an object of it.
 
-    Attributes:
-        ap: mean over IoU from .5 to .95 in steps of .05.
-        ap50: at an IoU of .5.
-    """
+class AveragePrecision(NamedTuple):
+    """Mean over IoU from .5 to .95 in steps of .05, and at .5; None if no image has an object."""
 
     ap: float | None
     ap50: float | None
 
 
-@dataclass(frozen=True)
-class ObjectRecords:
-    """Objects of the images with the numbers 0, 1 and so on, as annotations of COCO without `id`.
-
-    Attributes:
-        images: number of images.
-        truth: labelled objects: `image_id`, `category_id`, `bbox`, `segmentation`, `area`.
-        found: the same of detections, with `score`.
-    """
-
-    images: int
-    truth: Sequence[Mapping[str, Any]]
-    found: Sequence[Mapping[str, Any]]
-
-
 def average_precision(
-    records: ObjectRecords, classes: int, kind: str, least_score: float
+    truth: Records, found: Records, images: int, classes: int, kind: str, least_score: float
 ) -> tuple[list[AveragePrecision], list[list[ObjectCounts]]]:
-    """Average precision of each class, and objects of each class and image from a score on.
+    """Average precision of each class; and of each class and image, the objects from a score on.
 
     Objects of the second result are matched at an IoU of .5.
 
     Args:
-        records: the objects; categories are indices of classes.
-        classes: number of classes.
+        truth: labelled objects.
+        found: detected objects.
+        images: number of images, whose ids are 0, 1 and so on.
+        classes: number of classes, whose indices are the ids of categories.
         kind: "bbox" or "segm", by which objects are matched.
         least_score: of detections that are counted.
 
@@ -67,23 +48,27 @@ def average_precision(
     evaluation = import_library("pycocotools.cocoeval").COCOeval
     # It prints its progress.
     with redirect_stdout(io.StringIO()):
-        measured = evaluation(
-            _coco(records.truth, records.images, classes), _coco(records.found, records.images, classes), kind
-        )
+        measured = evaluation(_coco(truth, images, classes), _coco(found, images, classes), kind)
         measured.evaluate()
         measured.accumulate()
-    precision = measured.eval["precision"][..., _ALL_AREAS, _MOST_OBJECTS]
-    results = [_summary(precision[:, :, index]) for index in range(classes)]
+    # By IoU, recall, class, range of areas (the first is all) and number of objects (the last is 100).
+    precision = measured.eval["precision"][..., 0, -1]
+    results = []
+    for index in range(classes):
+        own = precision[:, :, index]
+        known = (own >= 0).any()
+        values = (float(own.mean()), float(own[_AT_HALF].mean())) if known else (None, None)
+        results.append(AveragePrecision(*values))
     # By class, range of areas and image.
-    images = len(measured.evalImgs) // (classes * len(measured.params.areaRng))
+    step = images * len(measured.params.areaRng)
     counts = [
         [_counts(image, least_score) for image in measured.evalImgs[first : first + images]]
-        for first in range(0, len(measured.evalImgs), images * len(measured.params.areaRng))
+        for first in range(0, step * classes, step)
     ]
     return results, counts
 
 
-def record(
+def object_record(
     image: int, label: int, box: NDArray[np.floating[Any]], mask: NDArray[np.bool_], **others: Any
 ) -> dict[str, Any]:
     """The record of an object: its box `(4,)` of sides and its mask `(h, w)`."""
@@ -100,27 +85,18 @@ def record(
     }
 
 
-def _coco(records: Sequence[Mapping[str, Any]], images: int, classes: int) -> Any:
+def _coco(records: Records, images: int, classes: int) -> Any:
     """An object of pycocotools with these records."""
     content = import_library("pycocotools.coco").COCO()
     content.dataset = {
-        # Sizes are read, and not used for masks of run lengths.
+        # Sizes are read, but not used for masks of run lengths.
         "images": [{"id": number, "height": 0, "width": 0} for number in range(images)],
         "categories": [{"id": index} for index in range(classes)],
         # An id of 0 would stand for no match.
-        "annotations": [
-            {"iscrowd": 0, **entry, "id": number} for number, entry in enumerate(records, start=1)
-        ],
+        "annotations": [{"iscrowd": 0, **item, "id": number} for number, item in enumerate(records, start=1)],
     }
     content.createIndex()
     return content
-
-
-def _summary(precision: NDArray[np.float64]) -> AveragePrecision:
-    """Of precisions at each IoU and recall `(10, 101)`, which are -1 without objects."""
-    if (precision < 0).all():
-        return AveragePrecision(None, None)
-    return AveragePrecision(float(precision.mean()), float(precision[_AT_HALF].mean()))
 
 
 def _counts(image: Mapping[str, Any] | None, least_score: float) -> ObjectCounts:

@@ -17,9 +17,8 @@ from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.average_precision import (
     AveragePrecision,
-    ObjectRecords,
     average_precision,
-    record,
+    object_record,
 )
 from pepperscene.learning.evaluation.evaluate import OnProgress, check_sets, read_images
 from pepperscene.learning.evaluation.evaluation import EvaluatedSet
@@ -88,8 +87,8 @@ class DetectionEvaluation:
             "classes": [
                 {
                     "name": item.name,
-                    "boxes": vars(item.boxes),
-                    "masks": vars(item.masks),
+                    "boxes": item.boxes._asdict(),
+                    "masks": item.masks._asdict(),
                     **vars(item.decided.counts),
                     "precision": estimate_json(item.decided.precision),
                     "recall": estimate_json(item.decided.recall),
@@ -104,7 +103,7 @@ class DetectionEvaluation:
             (
                 item.name,
                 f"{item.decided.counts.truth:,}",
-                *map(_percent, (item.boxes.ap, item.boxes.ap50, item.masks.ap, item.masks.ap50)),
+                *map(_percent, (*item.boxes, *item.masks)),
                 format_estimate(item.decided.precision, 1, 100.0),
                 format_estimate(item.decided.recall, 1, 100.0),
             )
@@ -170,7 +169,7 @@ def evaluate_detector(
                 assert image.colour is not None
                 detections = model.detections(image.colour)
                 own = [
-                    record(number, int(label), box, mask.astype(bool))
+                    object_record(number, int(label), box, mask.astype(bool))
                     for label, box, mask in zip(objects.labels, objects.boxes, objects.masks, strict=True)
                 ]
                 truth += own
@@ -187,9 +186,8 @@ def evaluate_detector(
         )
 
     # Measures by boxes and by masks, with the same objects.
-    records = ObjectRecords(number, truth, found)
-    boxes, _ = average_precision(records, len(table), "bbox", least_score)
-    masks, counts = average_precision(records, len(table), "segm", least_score)
+    boxes, _ = average_precision(truth, found, number, len(table), "bbox", least_score)
+    masks, counts = average_precision(truth, found, number, len(table), "segm", least_score)
     measured = zip(table.names, boxes, masks, counts, strict=True)
     results = tuple(
         DetectedClass(name, box, mask, measure_objects(count, weights)) for name, box, mask, count in measured
@@ -239,7 +237,7 @@ def _detected(
             continue
         mask, label = detections.mask(position), int(lines[0])
         score = float(detections.scores[position])
-        own = record(number, label, detections.boxes[position], mask, score=score)
+        own = object_record(number, label, detections.boxes[position], mask, score=score)
         if own["area"] and ignored[mask].mean() > _MOST_IGNORED:
             others = [item["bbox"] for item in truth if item["category_id"] == label]
             overlaps = coder.iou([own["bbox"]], others, [0] * len(others)) if others else np.zeros(1)

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from pepperscene.atomic import canonical_json
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.average_precision import record
+from pepperscene.learning.evaluation.average_precision import object_record
 from pepperscene.learning.models.trained_model import TrainedModel
 from pepperscene.version import __version__
 
@@ -92,7 +92,7 @@ class ObjectWriter:
         for position, model_label in enumerate(found.labels):
             for label in np.flatnonzero(self._merged[:, model_label]).tolist():
                 mask, score = found.mask(position), float(found.scores[position])
-                yield mask, record(number, label + 1, found.boxes[position], mask, score=score)
+                yield mask, object_record(number, label + 1, found.boxes[position], mask, score=score)
 
     def _drawn(
         self, colour: NDArray[np.uint8], found: Iterable[tuple[NDArray[np.bool_], dict[str, Any]]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import logging
@@ -143,7 +144,7 @@ def _exported_module(model: TrainedModel) -> Any:
 
     from pepperscene.learning.models.detector import find_objects
 
-    network = model.module.cpu().float().eval()
+    network = copy.deepcopy(model.module).cpu().float().eval()
 
     @final
     class Exported(torch.nn.Module):
