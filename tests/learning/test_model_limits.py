@@ -95,7 +95,7 @@ def test_tiles_give_the_probabilities_of_the_whole_image(trained, monkeypatch):
     monkeypatch.setattr(large_images, "MOST_WHOLE", 20_000)
     monkeypatch.setattr(large_images, "TILE", 256)
     tiled = np.full_like(whole, np.nan)
-    for (rows, columns), part in large_images.probability_parts(trained.module, colour, None):
+    for (rows, columns), part in large_images.probability_parts(trained, colour):
         tiled[:, rows, columns] = part
     assert np.abs(tiled - whole).max() < 1e-6
     assert (predict_classes(trained, colour) == whole.argmax(axis=0)).mean() > 0.9999
@@ -108,7 +108,7 @@ def test_strips_give_the_probabilities_of_the_scaled_image(trained, monkeypatch)
     monkeypatch.setattr(large_images, "MOST_WHOLE", 1000)
     monkeypatch.setattr(large_images, "_STRIP", 5000)
     strips = np.full_like(whole, np.nan)
-    for (rows, columns), part in large_images.probability_parts(trained.module, colour, 64):
+    for (rows, columns), part in large_images.probability_parts(model, colour):
         strips[:, rows, columns] = part
     assert np.abs(strips - whole).max() < 1e-6
 

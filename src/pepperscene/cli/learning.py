@@ -17,7 +17,7 @@ from pepperscene.cli.options import Only, parse_size
 from pepperscene.cli.progress import echo_progress, image_progress, training_progress
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.interrupts import raise_if_interrupted
-from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.class_table import ClassTable, parse_shares
 from pepperscene.learning.models.detections import DECIDED_SCORE
 from pepperscene.learning.options import (
     MEASURES,
@@ -54,6 +54,10 @@ def train(
     start: Annotated[
         Path | None, typer.Option(metavar="MODEL", help="Trained model whose weights are adapted.")
     ] = None,
+    match: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FOLDER", help="Unlabelled images whose colours are imitated; repeatable."),
+    ] = None,
     options: TrainingOptions,
     resume: Annotated[bool, typer.Option("--resume", help="Resume the training in the folder.")] = False,
     meaning: LabelOptions,
@@ -67,6 +71,7 @@ def train(
         raise InputError("--model", "cannot be combined with --start, which has a model")
     options.completed()
     opened = open_image_sets([*sets, *(validation or [])], **vars(meaning))
+    matched = open_image_sets(match or [])
     require_torch()
     from pepperscene.learning.models.trained_model import load_model
     from pepperscene.learning.training.run import train as train_model
@@ -89,6 +94,7 @@ def train(
                 options,
                 validation=opened[len(sets) :],
                 start=origin,
+                match=matched,
                 resume=resume,
                 on_progress=on_progress,
             )
@@ -115,6 +121,7 @@ class ModelUse:
         factory: `module:factory` of a network that is none of this package.
         allow_code: whether it may be called.
         classes: text of the classes that the model's are merged to.
+        prior: shares of classes in the images, or images in which they are estimated.
     """
 
     factory: Annotated[
@@ -142,6 +149,14 @@ class ModelUse:
             maximum=1,
         ),
     ] = None
+    prior: Annotated[
+        str | None,
+        Option(
+            "Shares of classes in the pixels of the images (fruit=0.04,peduncle=0.003), or a folder of "
+            "unlabelled images, in which they are estimated. Default: as in the training.",
+            "TEXT|FOLDER",
+        ),
+    ] = None
 
     def table(self, task: str) -> ClassTable | None:
         """The classes of a model for a task."""
@@ -161,7 +176,19 @@ class ModelUse:
             raise ArgumentError(where, error.problem, key=error.key, value=error.value) from None
         if self.factory is not None and is_built_in(network.model):
             raise ArgumentError("factory", f"does not apply to {network.model}, a model of this package")
-        return network
+        return network if self.prior is None else self._with_prior(network, self.prior)
+
+    def _with_prior(self, network: TrainedModel, prior: str) -> TrainedModel:
+        """The network for images with other shares of classes."""
+        from pepperscene.dataset.readers.open import open_images
+        from pepperscene.learning.evaluation.evaluate import with_shares
+
+        if network.task == "detect":
+            raise ArgumentError("prior", "applies to pixels, and not to the objects of a detector")
+        table = self.table(network.task)
+        if "=" in prior and not Path(prior).exists():
+            return with_shares(network, parse_shares(prior), table)
+        return with_shares(network, [open_images(prior)], table)
 
 
 @command

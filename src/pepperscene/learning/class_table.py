@@ -101,3 +101,21 @@ class ClassTable:
             if not matrix[line].any():
                 raise InputError(where, f"the model knows nothing of {name}: its classes are {finer}")
         return matrix
+
+
+def parse_shares(text: str, where: str = "prior") -> dict[str, float]:
+    """Shares by class of a text such as `fruit=0.04,peduncle=0.003`; raises `ArgumentError`."""
+    shares = {}
+    for part in text.split(","):
+        name, equals, number = (item.strip() for item in part.partition("="))
+        try:
+            value = float(number)
+        except ValueError:
+            value = -1.0
+        if not equals or not 0.0 < value < 1.0 or name in shares:
+            problem = (
+                f"must be classes with shares above 0 and below 1, as fruit=0.04,peduncle=0.003, not {text!r}"
+            )
+            raise ArgumentError(where, problem)
+        shares[name] = value
+    return shares

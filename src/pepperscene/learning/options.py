@@ -96,6 +96,7 @@ class TrainingOptions:
         balance: the loss weights a class by its frequency to the power of minus this; not that of a detector.
         least_area: least pixels of an object, in images of `width`; smaller ones count neither for nor
             against a detector, because a person would not label them.
+        matching: key of `colour_matching.MATCHES`, by which colours come near to those of photographs.
         validate: number of steps between validations and checkpoints; None for a tenth of all.
         precision: "float32", "bfloat16", or "auto": bfloat16 where the processor has instructions for it.
         workers: processes that read images; 0 for this one. They do not change the result.
@@ -155,6 +156,14 @@ class TrainingOptions:
     augmentation: Annotated[
         float, Option("Strength of random changes of the images, 0 to 2.", "F", minimum=0, maximum=2)
     ] = 1.0
+    matching: Annotated[
+        str,
+        Option(
+            "What is matched to the images of --match: statistics of CIELAB, histogram, or transport.",
+            "NAME",
+            choices=("statistics", "histogram", "transport"),
+        ),
+    ] = "statistics"
     seed: Annotated[int, Option("Random seed: weights, crops, dropout.", minimum=0, maximum=_MOST_SEED)] = 0
     validate: Annotated[int | None, Option("Steps between validations and checkpoints.", "N", minimum=1)] = (
         None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -22,11 +22,14 @@ from pepperscene.learning.evaluation.measures import (
     measure_classes,
     measure_objects,
 )
+from pepperscene.learning.models.decision import estimate_shares
 from pepperscene.learning.models.trained_model import TrainedModel
 from pepperscene.review.report.data import evenly_spaced
 
 OnProgress = Callable[[int, int], None]
 """Called after each image with the number of images done and of all."""
+
+_SAMPLED: Final = 8  # chosen: pixels between samples, whose classes are nearly the same
 
 _FIELDS: Final = ("colour", "classes", "instances")
 
@@ -85,9 +88,71 @@ def _probability_parts(
 
         if is_large(colour, model.width):
             model.module.eval()
-            yield from probability_parts(model.module, colour, model.width)
+            yield from probability_parts(model, colour)
             return
     yield (slice(0, colour.shape[0]), slice(0, colour.shape[1])), model.probabilities(colour)
+
+
+def sampled_probabilities(
+    model: Segmenter, colour: NDArray[np.uint8]
+) -> Iterator[tuple[tuple[slice, slice], NDArray[np.float32]]]:
+    """Rows and columns of every eighth pixel of the parts of an image, and the probabilities there."""
+    for (rows, columns), probabilities in _probability_parts(model, colour):
+        part = slice(rows.start, rows.stop, _SAMPLED), slice(columns.start, columns.stop, _SAMPLED)
+        yield part, probabilities[:, ::_SAMPLED, ::_SAMPLED]
+
+
+def with_shares(
+    model: TrainedModel, shares: Mapping[str, float] | Sequence[ImageSet], classes: ClassTable | None = None
+) -> TrainedModel:
+    """The model for images in which the classes have other shares than in those of its training.
+
+    Args:
+        model: a trained model.
+        shares: of classes in the pixels, by name; the classes that are not named share the rest in their
+            proportions. Or sets of unlabelled images, from which the shares are estimated by expectation and
+            maximisation (Saerens et al. 2002).
+        classes: of the shares, to which the model's are merged; None for the model's.
+
+    Raises:
+        ArgumentError: a name is unknown, a share is not between 0 and 1, or their sum is above 1.
+        InputError: an image has no colours, or the model does not know the frequencies of its classes.
+    """
+    table = model.classes if classes is None else classes
+    merging = table.merging(model.classes)
+    if model.decision is None:
+        raise InputError("model", "does not know the shares of its classes in the training; train it again")
+    frequencies = merging @ np.array(model.decision.frequencies)
+    if isinstance(shares, Mapping):
+        wanted = _named_shares(shares, table, frequencies)
+    else:
+        sampled = [
+            np.tensordot(merging, probabilities, axes=1).reshape(len(table), -1)
+            for images in shares
+            for image in images.select("colour")
+            for _, probabilities in sampled_probabilities(model, _colour(image))
+        ]
+        wanted = estimate_shares(np.concatenate(sampled, axis=1).T, frequencies)
+    return replace(model, decision=model.decision.for_shares(wanted, merging))
+
+
+def _named_shares(
+    shares: Mapping[str, float], table: ClassTable, frequencies: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Shares of all classes `(k,)` from those that are named."""
+    unknown = [name for name in shares if name not in table.names]
+    if unknown:
+        raise ArgumentError("prior", f"{unknown[0]} is none of the classes {', '.join(table.names)}")
+    named = np.array([shares.get(name, np.nan) for name in table.names])
+    is_named = np.isfinite(named)
+    total = float(named[is_named].sum())
+    if not (named[is_named] > 0).all() or total > 1 or (is_named.all() and not np.isclose(total, 1)):
+        raise ArgumentError(
+            "prior", "shares must be above 0, and sum to 1, or to less if classes are left out"
+        )
+    rest = frequencies[~is_named]
+    named[~is_named] = (1 - total) * rest / max(rest.sum(), np.finfo(float).tiny)
+    return named
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,10 +271,15 @@ def label_image(
     Raises:
         InputError: the image has no colours.
     """
+    assert image.classes is not None
+    return table.indices(image.classes), predict_classes(model, _colour(image), merging)
+
+
+def _colour(image: LabelledImage) -> NDArray[np.uint8]:
+    """Colours of an image; raises `InputError` if it has none."""
     if image.colour is None:
         raise InputError(image.name, "has no colours, from which a model predicts")
-    assert image.classes is not None
-    return table.indices(image.classes), predict_classes(model, image.colour, merging)
+    return image.colour
 
 
 def _count_fruit(

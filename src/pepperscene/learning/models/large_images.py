@@ -13,7 +13,7 @@ from torch import nn
 from torch.nn import functional
 
 from pepperscene.errors import InputError
-from pepperscene.learning.models.trained_model import apply_model
+from pepperscene.learning.models.trained_model import TrainedModel, apply_model
 
 MOST_WHOLE: Final = 12_500_000
 """Chosen: pixels of an image that is computed as a whole; a photograph of 4096 x 3048 pixels."""
@@ -52,22 +52,21 @@ def network_size(size: tuple[int, ...], width: int | None) -> tuple[int, int]:
 
 
 def probability_parts(
-    module: nn.Module, colour: NDArray[np.uint8], width: int | None
+    model: TrainedModel, colour: NDArray[np.uint8]
 ) -> Iterator[tuple[Part, NDArray[np.float32]]]:
     """Rows and columns of parts of an image `(h, w, 3)`, and the probabilities `(k, rows, columns)` there.
 
     They are those of the whole image up to rounding, if the network sees no farther than `OVERLAP`.
 
     Args:
-        module: in the mode of evaluation.
+        model: its network in the mode of evaluation.
         colour: sRGB, 8 bits.
-        width: to which the image is scaled before the network sees it; None for its own.
     """
-    size, own = network_size(colour.shape[:2], width), colour.shape[:2]
-    tiles = _tiles(module, _scaled(colour, size))
+    size, own = network_size(colour.shape[:2], model.width), colour.shape[:2]
+    tiles = _tiles(model.module, _scaled(colour, size))
     if size == own:
         for part, logits in tiles:
-            yield part, logits.softmax(dim=0).numpy()
+            yield part, model.decide(logits).numpy()
         return
     whole: torch.Tensor | None = None
     for (rows, columns), logits in tiles:
@@ -77,7 +76,7 @@ def probability_parts(
     step = max(1, _STRIP // own[1])
     for start in range(0, own[0], step):
         rows = slice(start, min(start + step, own[0]))
-        yield (rows, slice(0, own[1])), _enlarged_rows(whole, own, rows).softmax(dim=0).numpy()
+        yield (rows, slice(0, own[1])), model.decide(_enlarged_rows(whole, own, rows)).numpy()
 
 
 def _scaled(colour: NDArray[np.uint8], size: tuple[int, int]) -> torch.Tensor:

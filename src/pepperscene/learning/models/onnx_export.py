@@ -156,7 +156,7 @@ def _exported_module(model: TrainedModel) -> Any:
             if model.task == "detect":
                 maps = self.network(image)
                 return (*find_objects(maps, (image.shape[-2], image.shape[-1])), *maps)
-            return (apply_model(self.network, image).softmax(dim=1),)
+            return (model.decide(apply_model(self.network, image)),)
 
     return Exported().eval()
 

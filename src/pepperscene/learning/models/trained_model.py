@@ -18,6 +18,7 @@ from pepperscene.atomic import write_file
 from pepperscene.document import Document, validate
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.models.decision import Decision, DecisionDescription
 from pepperscene.learning.models.detections import Detections
 from pepperscene.learning.models.registry import build_model, without_initial_weights
 from pepperscene.learning.options import LEAST_SIDE, MODELS, MOST_SIDE, is_built_in, parse_classes
@@ -46,6 +47,7 @@ class ModelDescription(Document):
     classes: _Text
     width: Annotated[int, Field(strict=True, ge=LEAST_SIDE, le=MOST_SIDE)] | None
     version: _Text = "unknown"
+    decision: DecisionDescription | None = None
     training: dict[str, Any]
     task: Literal["segment", "detect"] = "segment"
 
@@ -78,6 +80,7 @@ class TrainedModel:
         classes: meaning of the network's outputs.
         width: width in pixels to which images are scaled before the network sees them; None for their own.
         training: how it was trained: sets with their digests, versions, steps, options.
+        decision: how its logits become probabilities; None for a plain softmax.
         task: "segment" or "detect".
     """
 
@@ -86,6 +89,7 @@ class TrainedModel:
     classes: ClassTable
     width: int | None = None
     training: Mapping[str, Any] = field(default_factory=dict)
+    decision: Decision | None = None
     task: str = "segment"
 
     def probabilities(self, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -104,7 +108,11 @@ class TrainedModel:
             enlarged = functional.interpolate(
                 logits, size=colour.shape[:2], mode="bilinear", align_corners=False
             )
-            return enlarged.softmax(dim=1)[0].float().cpu().numpy()
+            return self.decide(enlarged)[0].float().cpu().numpy()
+
+    def decide(self, logits: torch.Tensor) -> torch.Tensor:
+        """Probabilities `(..., k, h, w)` of logits of that shape."""
+        return logits.softmax(dim=-3) if self.decision is None else self.decision.probabilities(logits)
 
     def detections(self, colour: NDArray[np.uint8]) -> Detections:
         """Objects in an image `(h, w, 3)`, the most certain first.
@@ -158,9 +166,17 @@ class TrainedModel:
             "classes": str(self.classes),
             "width": self.width,
             "version": __version__,
+            "decision": self._describe_decision(),
             "training": dict(self.training),
             **({} if self.task == "segment" else {"task": self.task}),
         }
+
+    def _describe_decision(self) -> dict[str, Any] | None:
+        """What is learned of the decision; shares belong to the images that are predicted."""
+        if self.decision is None:
+            return None
+        names = ("weights", "frequencies", "temperature")
+        return {name: getattr(self.decision, name) for name in names}
 
 
 def require_torch() -> None:
@@ -242,7 +258,17 @@ def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool
             raise
         raise InputError(file, error.problem, key=error.where) from None
     fill_module(module, tensors, file)
-    return TrainedModel(module, model, classes, width, training, task=task)
+    decision = _read_decision(description["decision"], len(classes), file)
+    return TrainedModel(module, model, classes, width, training, decision, task)
+
+
+def _read_decision(content: DecisionDescription | None, count: int, file: Path) -> Decision | None:
+    """The decision of a model file; raises `InputError` if it is not of that number of classes."""
+    if content is None:
+        return None
+    if {len(content.weights), len(content.frequencies)} != {count}:
+        raise InputError(file, f"must hold weights and frequencies of {count} classes", key="decision")
+    return Decision(tuple(content.weights), tuple(content.frequencies), content.temperature)
 
 
 def _unknown_model(file: Path, recorded: str) -> InputError:

@@ -24,12 +24,14 @@ from pepperscene.document import parse_json
 from pepperscene.errors import ArgumentError, InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.detection import evaluate_detector
-from pepperscene.learning.evaluation.evaluate import predict_classes
+from pepperscene.learning.evaluation.evaluate import predict_classes, sampled_probabilities
 from pepperscene.learning.evaluation.measures import confusion_matrix, mean_intersection_over_union
+from pepperscene.learning.models.decision import Decision, fit_temperature
 from pepperscene.learning.models.registry import without_initial_weights
 from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model, build_network
 from pepperscene.learning.options import MEASURES, TrainingOptions, TrainingProgress
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
+from pepperscene.learning.training.colour_matching import ColourMatching
 from pepperscene.learning.training.detection_loss import DetectionLoss
 from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
 from pepperscene.user_files import read_file
@@ -49,6 +51,8 @@ percent."""
 _MOST_WEIGHT: Final = 30.0
 """Of a class, times that of the most frequent one. Chosen: a class of a few pixels must not drown the
 others."""
+
+_LEAST_PROBABILITY: Final = 1e-12  # chosen: of a class of which the network is certain that it is not there
 
 
 @final
@@ -86,8 +90,8 @@ class SegmentationLoss(nn.Module):
         return losses / total.clamp(min=1e-6)
 
 
-def class_weights(sets: Sequence[ImageSet], labels: ClassTable, balance: float) -> NDArray[np.float64]:
-    """Weights `(k,)` of classes: their frequency to the power of `-balance`, 1 on average over pixels.
+def class_frequencies(sets: Sequence[ImageSet], labels: ClassTable) -> NDArray[np.float64]:
+    """Shares `(k,)` of the classes in the labelled pixels of some images.
 
     Raises:
         InputError: no image has a pixel of any of the classes.
@@ -101,10 +105,33 @@ def class_weights(sets: Sequence[ImageSet], labels: ClassTable, balance: float) 
     if not counts.any():
         names = ", ".join(images.name for images in sets)
         raise InputError(names, f"has no pixel of the classes {labels}")
-    frequencies = counts / counts.sum()
+    return np.asarray(counts / counts.sum())
+
+
+def class_weights(frequencies: NDArray[np.float64], balance: float) -> NDArray[np.float64]:
+    """Weights `(k,)` of classes: their frequency to the power of `-balance`, 1 on average over pixels."""
     weights = np.maximum(frequencies, frequencies.max() * 1e-9) ** -balance
     weights = np.minimum(weights, weights[frequencies.argmax()] * _MOST_WEIGHT)
     return np.asarray(weights / (weights * frequencies).sum())
+
+
+def _decision(
+    labels: ClassTable,
+    outputs: ClassTable,
+    weights: NDArray[np.float64],
+    frequencies: NDArray[np.float64],
+    origin: Decision | None,
+) -> Decision:
+    """What takes the weights of the loss back; `labels` merges the outputs of the network."""
+    merging = labels.merging(outputs)
+    is_labelled = merging.any(axis=0)
+    # Members of a merged class keep the proportions that the network was started with.
+    before = np.ones(len(outputs)) if origin is None else np.array(origin.frequencies)
+    merged = np.maximum(merging @ before, np.finfo(float).tiny)
+    shares = np.where(is_labelled, merging.T @ (frequencies / merged) * before, 0.0)
+    factors = np.where(is_labelled, merging.T @ weights, 1.0)
+    temperature = 1.0 if origin is None else origin.temperature
+    return Decision(tuple(factors.tolist()), tuple(shares.tolist()), temperature)
 
 
 @final
@@ -118,6 +145,7 @@ class TrainingLoop:
         labels: ClassTable,
         origin: TrainedModel | None,
         record: Mapping[str, Any],
+        matching: ColourMatching | None = None,
     ) -> None:
         self.options, self.labels, self.record = options, labels, record
         self.device = _find_device(options.device)
@@ -127,19 +155,22 @@ class TrainingLoop:
             module.load_state_dict(origin.module.state_dict())
         module.to(self.device, memory_format=torch.channels_last)
         model = without_initial_weights(options.model)
-        self.trained = TrainedModel(module, model, classes, options.width, record, task=options.task)
-        self.loss = self._make_loss(sets)
+        trained = TrainedModel(module, model, classes, options.width, record, task=options.task)
+        self.loss: nn.Module
+        if options.task == "detect":
+            self.trained, self.loss = trained, DetectionLoss(len(labels), options.least_area)
+        else:
+            frequencies = class_frequencies(sets, labels)
+            weights = class_weights(frequencies, options.balance or 0.0)
+            before = None if origin is None else origin.decision
+            decision = _decision(labels, classes, weights, frequencies, before)
+            self.trained = replace(trained, decision=decision)
+            self.loss = SegmentationLoss(labels, classes, weights).to(self.device)
         assert options.learning_rate is not None
         self.optimiser = torch.optim.Adam(
             module.parameters(), lr=options.learning_rate, betas=_BETAS, eps=_EPSILON
         )
-        self.samples = TrainingSamples(sets, labels, options)
-
-    def _make_loss(self, sets: Sequence[ImageSet]) -> nn.Module:
-        if self.options.task == "detect":
-            return DetectionLoss(len(self.labels), self.options.least_area)
-        weights = class_weights(sets, self.labels, self.options.balance or 0.0)
-        return SegmentationLoss(self.labels, self.trained.classes, weights).to(self.device)
+        self.samples = TrainingSamples(sets, labels, options, matching)
 
     def run(
         self,
@@ -165,7 +196,7 @@ class TrainingLoop:
             quality = None
             if ends:
                 quality = _known(self._validate(validation)) if validation else None
-                state = self._checkpoint(folder, step, state, quality, float(np.mean(losses)))
+                state = self._checkpoint(folder, step, state, quality, losses, validation)
             if on_progress is not None:
                 rate = (step - start) * options.batch / (time.monotonic() - begin)
                 left = (options.steps - step) * options.batch / rate
@@ -221,7 +252,13 @@ class TrainingLoop:
         return logits
 
     def _checkpoint(
-        self, folder: Path, step: int, state: TrainingState, quality: float | None, loss: float
+        self,
+        folder: Path,
+        step: int,
+        state: TrainingState,
+        quality: float | None,
+        losses: Sequence[float],
+        validation: Sequence[ImageSet],
     ) -> TrainingState:
         """Write the network if it is the best one, the log, and last the state that a resumption reads."""
         folder.mkdir(parents=True, exist_ok=True)
@@ -231,8 +268,9 @@ class TrainingLoop:
         if best is None or (quality is not None and quality > best):
             best, best_step = quality, step
             training = {**self.record, "step": step, f"validation_{measure}": quality}
-            replace(self.trained, training=training).save(folder / MODEL_FILE)
-        _append_log(folder / LOG_FILE, {"step": step, "loss": loss, measure: quality})
+            decision = self._calibrated(validation)
+            replace(self.trained, training=training, decision=decision).save(folder / MODEL_FILE)
+        _append_log(folder / LOG_FILE, {"step": step, "loss": float(np.mean(losses)), measure: quality})
         state = TrainingState(step, best, best_step, self.record)
         write_state(folder, self.trained.module, self.optimiser, state)
         return state
@@ -246,13 +284,36 @@ class TrainingLoop:
             return evaluate_detector(self.trained, validation, classes=self.labels).mean_ap50
         merging = self.labels.merging(self.trained.classes)
         total = np.zeros((len(self.labels), len(self.labels)), np.int64)
-        for images in validation:
+        for colour, truth in self._labelled(validation):
+            prediction = predict_classes(self.trained, colour, merging)
+            total += confusion_matrix(truth, prediction, len(self.labels))
+        return float(mean_intersection_over_union(total))
+
+    def _calibrated(self, validation: Sequence[ImageSet]) -> Decision | None:
+        """The decision with the temperature of the least cross-entropy in images; as it is without any."""
+        decision = self.trained.decision
+        if decision is None:
+            return None
+        plain = replace(self.trained, decision=None)
+        logits, labels = [], []
+        for colour, truth in self._labelled(validation):
+            for part, probabilities in sampled_probabilities(plain, colour):
+                known = truth[part] != IGNORE_CLASS
+                logits.append(np.log(np.maximum(probabilities[:, known], _LEAST_PROBABILITY)).T)
+                labels.append(truth[part][known])
+        if not sum(map(len, labels)):
+            return decision
+        merging = self.labels.merging(self.trained.classes)
+        temperature = fit_temperature(np.concatenate(logits), np.concatenate(labels), decision.shift, merging)
+        return replace(decision, temperature=temperature)
+
+    def _labelled(self, sets: Sequence[ImageSet]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+        """Colour and class indices of the images of sets."""
+        for images in sets:
             for image in images.select("colour", "classes"):
                 if image.colour is None or image.classes is None:
                     raise InputError(images.name, f"{image.name} has no colour image or no mask")
-                prediction = predict_classes(self.trained, image.colour, merging)
-                total += confusion_matrix(self.labels.indices(image.classes), prediction, len(self.labels))
-        return float(mean_intersection_over_union(total))
+                yield image.colour, self.labels.indices(image.classes)
 
 
 def _known(quality: float) -> float | None:

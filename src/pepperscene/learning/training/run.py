@@ -36,6 +36,7 @@ def train(
     *,
     validation: ImageSet | Sequence[ImageSet] = (),
     start: TrainedModel | str | Path | None = None,
+    match: ImageSet | Sequence[ImageSet] = (),
     resume: bool = False,
     on_progress: Callable[[TrainingProgress], None] | None = None,
 ) -> TrainedModel:
@@ -56,6 +57,8 @@ def train(
         start: a trained model to start from. Its model and its classes are kept, so that `options.classes`,
             in which the labels are read, must be the same or mergers of them; None for its classes. If its
             network is none of this package, `options.model` is its factory.
+        match: photographs without labels, to whose colours those of the images are brought nearer, as
+            `options.matching` says; none to keep them.
         resume: continue the training in the folder, if there is one.
         on_progress: is called after each step.
 
@@ -69,10 +72,11 @@ def train(
         SetupError: torch is not installed.
     """
     require_torch()
-    from pepperscene.learning.training.loop import TrainingLoop, class_weights, seeded
+    from pepperscene.learning.training.colour_matching import ColourMatching
+    from pepperscene.learning.training.loop import TrainingLoop, class_frequencies, seeded
 
     chosen, folder = options or TrainingOptions(), Path(out)
-    sets, validation = _as_tuple(sets), _as_tuple(validation)
+    sets, validation, match = _as_tuple(sets), _as_tuple(validation), _as_tuple(match)
     load = partial(load_model, factory=_own_factory(chosen.model), allow_code=chosen.allow_code)
     origin = load(start) if isinstance(start, str | Path) else start
     if origin is not None:
@@ -86,14 +90,17 @@ def train(
     labels = chosen.table()
     _check_sets(sets, "sets")
     _check_sets(validation, "validation")
+    matching = ColourMatching(match, chosen.matching) if match else None
     record = _record(chosen, sets, validation, origin)
+    if match:
+        record["match"] = [describe_images(images) for images in match]
     check_can_create(folder)
     if validation and chosen.task == "segment":
         # Raises an error if they have no pixel of the classes.
-        class_weights(validation, labels, 0.0)
+        class_frequencies(validation, labels)
     with sole_writer(folder), seeded(chosen.seed):
         _check_folder(folder, resume, record)
-        training = TrainingLoop(chosen, sets, labels, origin, record)
+        training = TrainingLoop(chosen, sets, labels, origin, record, matching)
         try:
             training.run(folder, validation, on_progress)
         except OSError as error:

@@ -24,6 +24,7 @@ from pepperscene.errors import InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.objects import object_indices
 from pepperscene.learning.options import TrainingOptions
+from pepperscene.learning.training.colour_matching import ColourMatching
 
 
 @final
@@ -35,7 +36,13 @@ class TrainingSamples(torch.utils.data.Dataset):
     the number of classes for pixels of none of them, and numbers of instances.
     """
 
-    def __init__(self, sets: Sequence[ImageSet], labels: ClassTable, options: TrainingOptions) -> None:
+    def __init__(
+        self,
+        sets: Sequence[ImageSet],
+        labels: ClassTable,
+        options: TrainingOptions,
+        matching: ColourMatching | None = None,
+    ) -> None:
         self._detects = options.task == "detect"
         fields = ("colour", "classes", "instances") if self._detects else ("colour", "classes")
         self._sets = [images.select(*fields) for images in sets]
@@ -43,6 +50,7 @@ class TrainingSamples(torch.utils.data.Dataset):
             (which, position) for which, images in enumerate(sets) for position in range(len(images))
         ]
         self._labels, self._seed, self._width = labels, options.seed, options.width
+        self._matching = matching
         self._augmentation = _augmentation(options.size, options.augmentation)
 
     def __getitem__(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -51,6 +59,9 @@ class TrainingSamples(torch.utils.data.Dataset):
         order = np.random.default_rng([self._seed, 0, epoch]).permutation(len(self._images))
         which, position = self._images[order[place]]
         arrays = self._read(self._sets[which], position)
+        if self._matching is not None:
+            own = np.random.default_rng([self._seed, 2, int(number)])
+            arrays["image"] = self._matching(arrays["image"], own)
         # Random changes depend on the number alone, not on the worker that makes them.
         rng = np.random.default_rng([self._seed, 1, int(number)])
         changed = self._augmentation.apply(arrays, rng)
@@ -73,7 +84,7 @@ class TrainingSamples(torch.utils.data.Dataset):
         arrays: dict[str, Any] = {"image": image.colour, "mask": indices(self._labels, image.classes)}
         if self._detects:
             # Pillow takes other pixels of 16-bit images than of class images.
-            arrays["instances"] = image.instances.astype(np.int32)
+            arrays["instances"] = np.asarray(image.instances, np.int32)
         return _scaled(arrays, self._width)
 
 

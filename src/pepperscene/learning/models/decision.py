@@ -1,0 +1,145 @@
+"""From a network's logits to probabilities: temperature, weights of the loss and frequencies of classes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Final, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, FiniteFloat
+
+from pepperscene.document import Document
+from pepperscene.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import torch
+
+Floats = NDArray[np.float64]
+
+TEMPERATURES: Final = (0.25, 4.0)
+"""Range of fitted temperatures. Chosen: far beyond those of trained networks (Guo et al. 2017)."""
+
+_LEAST: Final = 1e-6  # chosen: least share of a class, so that none is excluded for ever
+_MOST_STEPS: Final = 500  # chosen: of expectation and maximisation; most sets take some dozens
+_CHANGE: Final = 1e-7  # chosen: change of the shares at which the steps end
+
+
+@final
+class DecisionDescription(Document):
+    """Of a model file: see `Decision`."""
+
+    weights: list[Annotated[FiniteFloat, Field(strict=True, gt=0)]]
+    frequencies: list[Annotated[FiniteFloat, Field(strict=True, ge=0, le=1)]]
+    temperature: Annotated[FiniteFloat, Field(strict=True, ge=TEMPERATURES[0], le=TEMPERATURES[1])] = 1.0
+
+
+@final
+@dataclass(frozen=True)
+class Decision:
+    """How logits become probabilities of the network's k classes.
+
+    A loss with weights w teaches the probabilities of a world where class c is w_c times as frequent
+    as in the training images. The weights are taken back here (Menon et al. 2021, Eq. 9), and where the
+    shares of the classes in a user's images are known or estimated, probabilities are those for these images
+    (Saerens et al. 2002, Eq. 2.4).
+
+    Attributes:
+        weights: `(k,)` of the classes in the loss.
+        frequencies: `(k,)` shares of the classes in the pixels of the training images.
+        temperature: by which logits are divided before (Guo et al. 2017).
+        shares: `(k,)` shares of the classes in the images that are predicted; None for the frequencies.
+    """
+
+    weights: tuple[float, ...]
+    frequencies: tuple[float, ...]
+    temperature: float = 1.0
+    shares: tuple[float, ...] | None = None
+
+    @classmethod
+    def plain(cls, count: int) -> Self:
+        """That of a network whose logits need no change."""
+        return cls((1.0,) * count, (1.0 / count,) * count)
+
+    @property
+    def shift(self) -> Floats:
+        """`(k,)` added to the logits after the temperature."""
+        shift = -np.log(self.weights)
+        if self.shares is not None:
+            shift += np.log(_ratios(np.array(self.shares), np.array(self.frequencies)))
+        return np.asarray(shift)
+
+    def probabilities(self, logits: torch.Tensor) -> torch.Tensor:
+        """Probabilities of the classes, which are in the last dimension but two, of logits."""
+        shift = logits.new_tensor(self.shift)[:, None, None]
+        return (logits / self.temperature + shift).softmax(dim=-3)
+
+    def for_shares(self, shares: Sequence[float] | Floats, merging: NDArray[np.float32]) -> Self:
+        """The decision for images with these shares of merged classes `(n,)`.
+
+        Args:
+            shares: of the n merged classes; scaled to a sum of 1.
+            merging: matrix `(n, k)` of 0 and 1, as of `ClassTable.merging`. Members of a merged class keep
+                their proportions.
+        """
+        before = np.array(self.frequencies)
+        merged = merging @ before
+        wanted = np.asarray(shares, float) / np.sum(shares) * max(merged.sum(), _LEAST)
+        # Classes that belong to no merged one keep their frequency.
+        ratios = np.where(merging.any(axis=0), merging.T @ _ratios(wanted, merged), 1.0)
+        return replace(self, shares=tuple((np.maximum(before, _LEAST) * ratios).tolist()))
+
+
+def estimate_shares(probabilities: NDArray[np.floating], frequencies: Floats) -> Floats:
+    """Shares `(n,)` of classes in unlabelled images: expectation and maximisation of Saerens et al. (2002).
+
+    Args:
+        probabilities: `(pixels, n)` of the classes, where their shares are `frequencies`.
+        frequencies: `(n,)` shares that the probabilities assume.
+
+    Raises:
+        ArgumentError: there are no pixels.
+    """
+    if not len(probabilities):
+        raise ArgumentError("prior", "must be images with at least one pixel")
+    likelihood = np.asarray(probabilities, np.float64) / np.maximum(frequencies, _LEAST)
+    shares = np.asarray(frequencies / frequencies.sum())
+    for _ in range(_MOST_STEPS):
+        joint = likelihood * np.maximum(shares, _LEAST)
+        updated = (joint / joint.sum(axis=1, keepdims=True)).mean(axis=0)
+        change, shares = np.abs(updated - shares).max(), updated
+        if change < _CHANGE:
+            break
+    return shares
+
+
+def fit_temperature(
+    logits: NDArray[np.floating], labels: NDArray[np.integer], shift: Floats, merging: NDArray[np.float32]
+) -> float:
+    """The temperature of the least cross-entropy on validation pixels (Guo et al. 2017).
+
+    Args:
+        logits: `(pixels, k)` of the network's classes.
+        labels: `(pixels,)` indices of the classes of the labels.
+        shift: as of `Decision.shift`.
+        merging: `(n, k)` of 0 and 1, from the network's classes to those of the labels.
+    """
+    from scipy.optimize import minimize_scalar
+    from scipy.special import softmax
+
+    rows = np.arange(len(labels))
+
+    def entropy(log_temperature: float) -> float:
+        merged = softmax(logits / np.exp(log_temperature) + shift, axis=1) @ merging.T
+        # No pixel counts as more than certain to be wrong.
+        return float(-np.log(np.maximum(merged[rows, labels], _LEAST)).mean())
+
+    bounds = tuple(np.log(TEMPERATURES))
+    return float(np.exp(minimize_scalar(entropy, bounds=bounds, method="bounded").x))
+
+
+def _ratios(shares: Floats, frequencies: Floats) -> Floats:
+    """Shares over frequencies; 1 for a class that the training did not have."""
+    known = frequencies > 0
+    return np.where(known, np.maximum(shares, _LEAST) / np.where(known, frequencies, 1.0), 1.0)
