@@ -73,6 +73,7 @@ from .learning import TrainingOptions as TrainingOptions
 from .learning import evaluate as evaluate
 from .learning import evaluate_detector as evaluate_detector
 from .learning import predict as predict
+from .learning import with_shares as with_shares
 from .learning import write_evaluation as write_evaluation
 from .learning.models import Detections as Detections
 from .learning.models import TrainedModel as TrainedModel

@@ -12,7 +12,7 @@ from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 
-from pepperscene.learning.training.loop import SegmentationLoss, class_weights  # noqa: E402
+from pepperscene.learning.training.loop import SegmentationLoss, class_frequencies, class_weights  # noqa: E402
 
 ORGANS = ClassTable.organs()
 FRUIT = ClassTable.parse(FRUIT_CLASSES)
@@ -120,7 +120,8 @@ def test_weights_are_inverse_frequencies_with_an_exponent_and_one_on_average(lab
     indices = np.concatenate([labels.indices(mask).ravel() for mask in masks])
     frequencies = np.bincount(indices, minlength=256)[: len(labels)].astype(float)
     frequencies /= frequencies.sum()
-    weights = class_weights([image_set(*masks[:4]), image_set(*masks[4:])], labels, balance)
+    counted = class_frequencies([image_set(*masks[:4]), image_set(*masks[4:])], labels)
+    weights = class_weights(counted, balance)
     np.testing.assert_allclose(weights / weights[0], (frequencies / frequencies[0]) ** -balance)
     assert (weights * frequencies).sum() == pytest.approx(1)
     # On average over the labelled pixels, so that the learning rate has the same meaning.
@@ -130,19 +131,19 @@ def test_weights_are_inverse_frequencies_with_an_exponent_and_one_on_average(lab
 def test_weights_of_rare_and_absent_classes_are_limited():
     mask = np.zeros((200, 200), np.uint8)
     mask[0, 0] = 1
-    weights = class_weights([image_set(mask)], ORGANS, 1.0)
+    weights = class_weights(class_frequencies([image_set(mask)], ORGANS), 1.0)
     np.testing.assert_allclose(weights[1:] / weights[0], 30)
     assert np.isfinite(weights).all()
 
 
 def test_images_without_masks_are_not_counted():
     masks = random_masks(3)
-    expected = class_weights([image_set(*masks)], ORGANS, 1.0)
-    np.testing.assert_array_equal(class_weights([image_set(None, *masks, None)], ORGANS, 1.0), expected)
+    expected = class_frequencies([image_set(*masks)], ORGANS)
+    np.testing.assert_array_equal(class_frequencies([image_set(None, *masks, None)], ORGANS), expected)
 
 
 def test_rejects_sets_without_pixels_of_the_classes():
     peppers = ClassTable.parse("pepper,peduncle")
     sets = [image_set(None, name="a"), image_set(np.zeros((3, 4)), np.full((2, 2), 255), name="b")]
     with pytest.raises(InputError, match="a, b: has no pixel of the classes pepper,peduncle"):
-        class_weights(sets, peppers, 0.5)
+        class_frequencies(sets, peppers)

@@ -112,7 +112,7 @@ def parse_shares(text: str, where: str = "prior") -> dict[str, float]:
             value = float(number)
         except ValueError:
             value = -1.0
-        if not equals or not 0.0 < value < 1.0 or name in shares:
+        if not (name and equals) or not 0.0 < value < 1.0 or name in shares:
             problem = (
                 f"must be classes with shares above 0 and below 1, as fruit=0.04,peduncle=0.003, not {text!r}"
             )
