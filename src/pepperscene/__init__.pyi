@@ -68,6 +68,7 @@ from .grammar import Organ as Organ
 from .grammar import Plant as Plant
 from .grammar import grow as grow
 from .learning import ClassTable as ClassTable
+from .learning import DetectionEvaluation as DetectionEvaluation
 from .learning import Evaluation as Evaluation
 from .learning import TrainingOptions as TrainingOptions
 from .learning import evaluate as evaluate
