@@ -56,19 +56,15 @@ class DetectionEvaluation:
 
     Attributes:
         sets: whose images are evaluated.
-        table: classes that are evaluated.
         classes: the measures of each class.
         least_area: least pixels of an object, in images of the model's width.
         least_score: from which detections are decided to be objects.
-        regions: whether connected regions are objects where images have no instances.
     """
 
     sets: tuple[EvaluatedSet, ...]
-    table: ClassTable
     classes: tuple[DetectedClass, ...]
     least_area: int
     least_score: float
-    regions: bool
 
     @property
     def mean_ap50(self) -> float:
@@ -165,7 +161,7 @@ def evaluate_detector(
         before = number
         for _, image in read_images(images, chosen):
             if image.classes is not None:
-                objects, ignored = evaluated_objects(images.name, image, model, table, regions)
+                objects, ignored = _objects(images.name, image, model, table, regions)
                 assert image.colour is not None
                 detections = model.detections(image.colour)
                 own = [
@@ -192,7 +188,7 @@ def evaluate_detector(
     results = tuple(
         DetectedClass(name, box, mask, measure_objects(count, weights)) for name, box, mask, count in measured
     )
-    return DetectionEvaluation(tuple(summaries), table, results, _least_area_of(model), least_score, regions)
+    return DetectionEvaluation(tuple(summaries), results, _least_area_of(model), least_score)
 
 
 def _least_area_of(model: TrainedModel) -> int:
@@ -200,14 +196,10 @@ def _least_area_of(model: TrainedModel) -> int:
     return int(model.training.get("options", {}).get("least_area", 1))
 
 
-def evaluated_objects(
+def _objects(
     name: str, image: LabelledImage, model: TrainedModel, table: ClassTable, regions: bool
 ) -> tuple[DetectionObjects, NDArray[np.bool_]]:
-    """Labelled objects and ignored pixels of an image in a set of this name.
-
-    Raises:
-        InputError: the image has no colours, or no instances.
-    """
+    """Labelled objects and ignored pixels of an image in a set of this name."""
     if image.colour is None:
         raise InputError(image.name, "has no colours, from which a model predicts")
     assert image.classes is not None

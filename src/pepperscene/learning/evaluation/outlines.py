@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, Final, final
 
 import numpy as np
@@ -76,34 +76,16 @@ class ObjectWriter:
         """Find the objects of an image; returns its picture with outlines by the folder of such pictures."""
         number, (height, width) = len(self._images) + 1, colour.shape[:2]
         self._images.append({"id": number, "file_name": name, "height": height, "width": width})
-        found = list(self._found(number, colour))
-        self._results += [{key: entry[key] for key in entry if key != "area"} for _, entry in found]
-        return {OUTLINES: png_bytes(self._drawn(colour, found))}
-
-    def outlined(self, colour: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """An image with outlines of its objects; they are not added."""
-        return self._drawn(colour, self._found(0, colour))
-
-    def _found(
-        self, number: int, colour: NDArray[np.uint8]
-    ) -> Iterator[tuple[NDArray[np.bool_], dict[str, Any]]]:
-        """Mask and record of the objects of an image with a number."""
-        found = self._model.detections(colour)
+        found, outlines = self._model.detections(colour), []
         for position, model_label in enumerate(found.labels):
             for label in np.flatnonzero(self._merged[:, model_label]).tolist():
                 mask, score = found.mask(position), float(found.scores[position])
-                yield mask, object_record(number, label + 1, found.boxes[position], mask, score=score)
-
-    def _drawn(
-        self, colour: NDArray[np.uint8], found: Iterable[tuple[NDArray[np.bool_], dict[str, Any]]]
-    ) -> NDArray[np.uint8]:
-        outlines = []
-        for mask, entry in found:
-            if entry["score"] >= self._least_score:
-                index = entry["category_id"] - 1
-                shade = tuple(self._table.colours[index].tolist())
-                outlines.append((mask, shade, f"{self._table.names[index]} {entry['score']:.2f}"))
-        return draw_outlines(colour, outlines)
+                entry = object_record(number, label + 1, found.boxes[position], mask, score=score)
+                self._results.append({key: entry[key] for key in entry if key != "area"})
+                if score >= self._least_score:
+                    shade = tuple(self._table.colours[label].tolist())
+                    outlines.append((mask, shade, f"{self._table.names[label]} {score:.2f}"))
+        return {OUTLINES: png_bytes(draw_outlines(colour, outlines))}
 
     def files(self) -> dict[str, bytes]:
         """The files of all images."""

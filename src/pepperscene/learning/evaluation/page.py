@@ -13,11 +13,9 @@ from pepperscene.atomic import canonical_json, check_can_write, write_files
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.detection import DetectionEvaluation, evaluated_objects
+from pepperscene.learning.evaluation.detection import DetectionEvaluation
 from pepperscene.learning.evaluation.evaluate import Segmenter, label_image
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, Evaluation
-from pepperscene.learning.evaluation.outlines import ObjectWriter, draw_outlines
-from pepperscene.learning.models.trained_model import TrainedModel
 from pepperscene.learning.pages import (
     ImagePanels,
     class_legend,
@@ -26,12 +24,9 @@ from pepperscene.learning.pages import (
     render_page,
 )
 from pepperscene.review.report.colours import jpeg_data_uri, png_data_uri
-from pepperscene.review.report.data import evenly_spaced
 
 JSON_NAME: Final = "evaluation.json"
 PAGE_NAME: Final = "evaluation.html"
-
-_SHOWN: Final = 3  # chosen: images of a detector's page
 
 
 @dataclass(frozen=True)
@@ -56,7 +51,7 @@ def write_evaluation(
     """Write `evaluation.json` and `evaluation.html` into a folder, both or none.
 
     The page needs no other file. It shows the images with the highest, the median and the lowest mean IoU,
-    each as photograph, mask and prediction; of a detector three images at equal steps, with outlines.
+    each as photograph, mask and prediction; of a detector, which `predict` draws, the tables alone.
 
     Args:
         evaluation: result of `evaluate` or `evaluate_detector`.
@@ -82,41 +77,15 @@ def write_evaluation(
 def _page_html(
     evaluation: Evaluation | DetectionEvaluation, model: Segmenter, sets: Sequence[ImageSet]
 ) -> str:
-    title = f"Evaluation on {', '.join(item.name for item in evaluation.sets)}"
-    if isinstance(evaluation, DetectionEvaluation):
-        assert isinstance(model, TrainedModel)
+    images = []
+    if isinstance(evaluation, Evaluation):
+        mean_iou = np.array([image.mean_iou for image in evaluation.images])
         images = [
-            _object_panels(at, evaluation, model, sets[0]) for at in evenly_spaced(len(sets[0]), _SHOWN)
+            _image_panels(word, evaluation.images[at], evaluation.classes, model, sets)
+            for word, at in ranked_examples(mean_iou)
         ]
-        heading = "Labelled and detected objects"
-        return render_page(
-            "evaluation.html", title, tables=evaluation.tables(), images=images, heading=heading
-        )
-    mean_iou = np.array([image.mean_iou for image in evaluation.images])
-    images = [
-        _image_panels(word, evaluation.images[at], evaluation.classes, model, sets)
-        for word, at in ranked_examples(mean_iou)
-    ]
-    heading = "Images by their own mean IoU"
-    return render_page("evaluation.html", title, tables=evaluation.tables(), images=images, heading=heading)
-
-
-def _object_panels(
-    position: int, evaluation: DetectionEvaluation, model: TrainedModel, images: ImageSet
-) -> ImagePanels:
-    """One image as photograph, with outlines of its labelled and of its detected objects."""
-    read, table = images.select("colour", "classes", "instances")[position], evaluation.table
-    assert read.colour is not None
-    panels = [("photograph", jpeg_data_uri(read.colour))]
-    shades = [tuple(shade) for shade in table.colours.tolist()]
-    if read.classes is not None:
-        objects, _ = evaluated_objects(images.name, read, model, table, evaluation.regions)
-        labelled = zip(objects.masks, objects.labels, strict=True)
-        outlines = [(mask.astype(bool), shades[label], table.names[label]) for mask, label in labelled]
-        panels.append(("labels", jpeg_data_uri(draw_outlines(read.colour, outlines))))
-    drawn = ObjectWriter(model, table, evaluation.least_score).outlined(read.colour)
-    panels.append(("detections", jpeg_data_uri(drawn)))
-    return ImagePanels(f"{read.name} of {images.name}", read.name, read.size, panels)
+    title = f"Evaluation on {', '.join(item.name for item in evaluation.sets)}"
+    return render_page("evaluation.html", title, tables=evaluation.tables(), images=images)
 
 
 def _image_panels(

@@ -19,6 +19,7 @@ from pepperscene.errors import ArgumentError
 from pepperscene.learning.models.trained_model import TrainedModel, apply_model, require_torch
 from pepperscene.learning.options import LEAST_SIDE, MOST_SIDE
 from pepperscene.libraries import import_library
+from pepperscene.options import Option
 from pepperscene.version import __version__
 
 EXTRA: Final = "learn-onnx"
@@ -66,10 +67,7 @@ def export_model(model: TrainedModel, out: str | Path, size: tuple[int, int] | N
     require_torch()
     width = model.width or _WIDTH
     chosen = size or (round(width * 3 / 4), width)
-    if not all(LEAST_SIDE <= side <= MOST_SIDE for side in chosen):
-        raise ArgumentError(
-            "size", f"must be two numbers of pixels, {LEAST_SIDE} to {MOST_SIDE}, not {chosen}"
-        )
+    Option("", minimum=LEAST_SIDE, maximum=MOST_SIDE).check("size", chosen)
     file = Path(out)
     check_can_write(file.parent, (file.name,))
     content, difference = _convert(model, chosen)
@@ -100,22 +98,11 @@ def _convert(model: TrainedModel, size: tuple[int, int]) -> tuple[bytes, float]:
     silence = io.StringIO()
     logging.disable(logging.WARNING)
     try:
-        with (
-            redirect_stdout(silence),
-            redirect_stderr(silence),
-            warnings.catch_warnings(),
-            torch.inference_mode(),
-        ):
+        with redirect_stdout(silence), redirect_stderr(silence), warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
             expected = module(inputs)
-            program = torch.onnx.export(
-                module,
-                (inputs,),
-                input_names=["image"],
-                output_names=names,
-                opset_version=_OPSET,
-                dynamo=True,
-            )
+            options = {"input_names": ["image"], "output_names": names, "opset_version": _OPSET}
+            program = torch.onnx.export(module, (inputs,), dynamo=True, **options)
     except (RuntimeError, ValueError, TypeError) as error:
         reason = str(error).strip().split("\n")[0]
         raise ArgumentError("model", f"cannot be exported ({reason})") from None
@@ -184,9 +171,6 @@ def _cleaned(proto: Any, metadata: dict[str, str]) -> bytes:
         for part in (*entry.node, *entry.value_info):
             part.doc_string = ""
             del part.metadata_props[:]
-    for values in (proto.graph.input, proto.graph.output, proto.graph.initializer):
-        for value in values:
-            del value.metadata_props[:]
     proto.producer_name, proto.producer_version = "pepperscene", __version__
     for key, text in metadata.items():
         proto.metadata_props.add(key=key, value=text)
