@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS
-from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.dataset.readers.torch_data import DetectionObjects, find_objects
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.learning.evaluation.measures import connected_objects
 
 
 def object_indices(table: ClassTable, classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -38,16 +36,3 @@ def labelled_objects(
     found = find_objects(indices, instances, range(classes), max(1, int(np.ceil(least_area))))
     ignored = (indices == IGNORE_CLASS) | ((indices < classes) & ~found.masks.any(axis=0))
     return replace(found, labels=found.labels - 1), ignored
-
-
-def instances_of(
-    image: LabelledImage, indices: NDArray[np.uint8], classes: int, regions: bool
-) -> NDArray[np.integer] | None:
-    """Numbers of the instances of an image; without any, of the connected regions of its classes if asked."""
-    if image.instances is not None or not regions:
-        return image.instances
-    numbers = np.zeros(indices.shape, np.int32)
-    for index in range(classes):
-        found = connected_objects(indices == index)
-        numbers[found > 0] = found[found > 0] + numbers.max()
-    return numbers

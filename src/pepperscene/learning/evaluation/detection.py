@@ -22,10 +22,15 @@ from pepperscene.learning.evaluation.average_precision import (
 )
 from pepperscene.learning.evaluation.evaluate import OnProgress, check_sets, read_images
 from pepperscene.learning.evaluation.evaluation import EvaluatedSet
-from pepperscene.learning.evaluation.measures import ObjectMeasures, estimate_json, measure_objects
+from pepperscene.learning.evaluation.measures import (
+    ObjectMeasures,
+    connected_objects,
+    estimate_json,
+    measure_objects,
+)
 from pepperscene.learning.models.detections import DECIDED_SCORE, Detections
 from pepperscene.learning.models.trained_model import TrainedModel
-from pepperscene.learning.objects import instances_of, labelled_objects, object_indices
+from pepperscene.learning.objects import labelled_objects, object_indices
 from pepperscene.libraries import import_library
 from pepperscene.review.report.data import evenly_spaced
 
@@ -204,13 +209,26 @@ def _objects(
         raise InputError(image.name, "has no colours, from which a model predicts")
     assert image.classes is not None
     indices = object_indices(table, image.classes)
-    instances = instances_of(image, indices, len(table), regions)
+    instances = _instances_of(image, indices, len(table), regions)
     if instances is None:
         problem = f"{image.name} has a mask without numbers of instances, with which detections are compared"
         raise InputError(name, f"{problem}; --regions takes connected regions as objects")
     # Areas are those of the network's image, whose pixels may be larger.
     factor = 1.0 if model.width is None else image.size[1] / model.width
     return labelled_objects(indices, instances, len(table), _least_area_of(model) * factor**2)
+
+
+def _instances_of(
+    image: LabelledImage, indices: NDArray[np.uint8], classes: int, regions: bool
+) -> NDArray[np.integer] | None:
+    """Numbers of the instances of an image; without any, of the connected regions of its classes if asked."""
+    if image.instances is not None or not regions:
+        return image.instances
+    numbers = np.zeros(indices.shape, np.int32)
+    for index in range(classes):
+        found = connected_objects(indices == index)
+        numbers[found > 0] = found[found > 0] + numbers.max()
+    return numbers
 
 
 def _detected(
