@@ -18,8 +18,8 @@ from pepperscene.cli.progress import echo_progress, image_progress, training_pro
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.learning.class_table import ClassTable, parse_shares
-from pepperscene.learning.models.detections import DECIDED_SCORE
 from pepperscene.learning.options import (
+    DECIDED_SCORE,
     MEASURES,
     ExperimentOptions,
     TrainingOptions,

@@ -64,6 +64,9 @@ MEASURES: Final = {"segment": "mean_iou", "detect": "ap50"}
 FRUIT_OBJECTS: Final = "fruit=pepper,peduncle"
 """Classes of a detector, unless options say otherwise."""
 
+DECIDED_SCORE: Final = 0.3
+"""From which a detection is an object. Chosen: scores of centres are lower than probabilities of pixels."""
+
 
 def parse_classes(task: str, text: str | None) -> ClassTable:
     """The classes of a network, of a text as for `ClassTable.parse` or None for the default of the task.

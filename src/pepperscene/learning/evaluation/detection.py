@@ -28,9 +28,10 @@ from pepperscene.learning.evaluation.measures import (
     estimate_json,
     measure_objects,
 )
-from pepperscene.learning.models.detections import DECIDED_SCORE, Detections
+from pepperscene.learning.models.detections import Detections
 from pepperscene.learning.models.trained_model import TrainedModel
 from pepperscene.learning.objects import labelled_objects, object_indices
+from pepperscene.learning.options import DECIDED_SCORE
 from pepperscene.libraries import import_library
 from pepperscene.review.report.data import evenly_spaced
 

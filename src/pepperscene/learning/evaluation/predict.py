@@ -26,8 +26,8 @@ from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.evaluate import Segmenter, predict_classes
 from pepperscene.learning.evaluation.outlines import IMAGES_NAME, OUTLINES, RESULTS_NAME, ObjectWriter
-from pepperscene.learning.models.detections import DECIDED_SCORE
 from pepperscene.learning.models.trained_model import TrainedModel
+from pepperscene.learning.options import DECIDED_SCORE
 
 CLASSES_NAME: Final = "classes.json"
 FORMAT: Final = "pepperscene prediction 1"

@@ -12,9 +12,6 @@ from PIL import Image
 LEAST_SCORE: Final = 0.05
 """Of objects that are kept. Chosen: less certain ones are noise, and measures hardly change without them."""
 
-DECIDED_SCORE: Final = 0.3
-"""From which a detection is an object. Chosen: scores of centres are lower than probabilities of pixels."""
-
 STRIDE: Final = 4
 """Pixels of a cell of the head of a detector."""
 
