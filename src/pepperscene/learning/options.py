@@ -87,7 +87,6 @@ class TrainingOptions:
     """Options of a training; those that are None are the model's defaults.
 
     Attributes:
-        task: "segment" gives each pixel a class; "detect" finds objects, with boxes and masks.
         model: text for `build_model`; a detector is made of `small` or `efficientnet_lite0`.
         classes: text for `ClassTable.parse`; None for all eight classes, or for fruit and peduncles.
         size: height and width in pixels of the crops that the network sees.
@@ -105,12 +104,9 @@ class TrainingOptions:
         workers: processes that read images; 0 for this one. They do not change the result.
         device: of torch; None for a GPU if there is one.
         allow_code: whether a model `module:factory` may be imported and called.
+        task: "segment" gives each pixel a class; "detect" finds objects, with boxes and masks.
     """
 
-    task: Annotated[
-        str,
-        Option("segment: a class for each pixel; detect: boxes and masks of objects.", "NAME", choices=TASKS),
-    ] = "segment"
     model: Annotated[
         str,
         Option(
@@ -182,6 +178,10 @@ class TrainingOptions:
     workers: Annotated[int, Option("Processes that read images.", "N", minimum=0, shows_range=True)] = 0
     device: Annotated[str | None, Option("Device of torch, such as cpu or cuda:0.", "NAME")] = None
     allow_code: Annotated[bool, Option("Allow the code of --model module:factory to run.")] = False
+    task: Annotated[
+        str,
+        Option("segment: a class for each pixel; detect: boxes and masks of objects.", "NAME", choices=TASKS),
+    ] = "segment"
 
     def completed(self) -> Self:
         """The options with the model's defaults filled in.
