@@ -17,7 +17,12 @@ torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 
 from pepperscene.learning.evaluation.evaluate import with_shares  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, load_model  # noqa: E402
-from pepperscene.learning.models.decision import Decision, estimate_shares, fit_temperature  # noqa: E402
+from pepperscene.learning.models.decision import (  # noqa: E402
+    Decision,
+    estimate_shares,
+    fit_factors,
+    fit_temperature,
+)
 from pepperscene.learning.models.trained_model import read_weights, weights_as_bytes  # noqa: E402
 from pepperscene.learning.options import TrainingOptions  # noqa: E402
 from pepperscene.learning.training import train  # noqa: E402
@@ -93,6 +98,25 @@ def test_the_temperature_of_overconfident_logits_is_found():
     assert found == pytest.approx(2.2, rel=0.03)
 
 
+def test_factors_give_the_greatest_mean_iou():
+    # Probabilities that are right: of the pixels of probability p, a part p has the second class.
+    rng = np.random.default_rng(8)
+    second = rng.beta(0.4, 3.0, 50_000)
+    labels = (rng.random(len(second)) < second).astype(np.intp)
+
+    def mean_iou(threshold):
+        chosen, true = second > threshold, labels == 1
+        parts = ((chosen, true), (~chosen, ~true))
+        return np.mean([(one & other).sum() / (one | other).sum() for one, other in parts])
+
+    factors = fit_factors(np.stack([1 - second, second], axis=1), labels)
+    assert factors[0] == 1
+    found = mean_iou(1 / (1 + factors[1]))
+    best = max(mean_iou(threshold) for threshold in np.linspace(0.05, 0.6, 60))
+    assert best - 0.004 < found
+    assert found > mean_iou(0.5) + 0.01
+
+
 def trained(decision, classes=FRUIT):
     torch.manual_seed(0)
     return TrainedModel(
@@ -101,7 +125,7 @@ def trained(decision, classes=FRUIT):
 
 
 def test_a_file_keeps_the_decision_but_not_the_shares_of_some_images(tmp_path):
-    model = trained(Decision((0.5, 2.0, 9.0), (0.9, 0.08, 0.02), 1.4))
+    model = trained(Decision((0.5, 2.0, 9.0), (0.9, 0.08, 0.02), 1.4, (1.0, 1.4, 4.0)))
     with_shares(model, {"fruit": 0.3}).save(tmp_path / "model.safetensors")
     assert load_model(tmp_path).decision == model.decision
     # Files of before have none, and give the same as before.
@@ -118,7 +142,13 @@ def test_a_file_keeps_the_decision_but_not_the_shares_of_some_images(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("weights", [1.0, 1.0]), ("frequencies", [0.5] * 4), ("weights", [1, 0.0, 1]), ("temperature", 0)],
+    [
+        ("weights", [1.0, 1.0]),
+        ("frequencies", [0.5] * 4),
+        ("weights", [1, 0.0, 1]),
+        ("factors", [1.0]),
+        ("temperature", 0),
+    ],
 )
 def test_rejects_files_with_another_decision(tmp_path, key, value):
     file = tmp_path / "model.safetensors"

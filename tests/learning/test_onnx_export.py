@@ -50,6 +50,8 @@ def test_a_segmentation_gives_the_same_probabilities(tmp_path):
     onnx.checker.check_model(str(written.file), full_check=True)
     colour = bands_set(1)[0].colour
     outputs = run(written.file, colour)
+    metadata = session_of(written.file).get_modelmeta().custom_metadata_map
+    assert json.loads(metadata["factors"]) == list(model.decision.factors)
     assert list(outputs) == ["probabilities"]
     np.testing.assert_allclose(outputs["probabilities"][0], model.probabilities(colour), atol=1e-4)
     # The same network gives the same bytes, without the paths of this machine.

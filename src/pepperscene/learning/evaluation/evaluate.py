@@ -48,7 +48,7 @@ class Segmenter(Protocol):
 def predict_classes(
     model: Segmenter, colour: NDArray[np.uint8], merging: NDArray[np.float32] | None = None
 ) -> NDArray[np.uint8]:
-    """The most probable class of each pixel; of equal ones, the first.
+    """The most probable class of each pixel after the factors of the decision; of equal ones, the first.
 
     A trained network is applied to an image above 12.5 million pixels in tiles of 2048 x 2048, each with 640
     pixels around it, which is farther than the networks of this package see.
@@ -73,6 +73,8 @@ def predict_classes(
             raise InputError("model", problem)
         if not np.isfinite(probabilities).all():
             raise InputError("model", "gives probabilities that are not finite numbers")
+        if isinstance(model, TrainedModel) and model.decision is not None:
+            probabilities = probabilities * np.array(model.decision.factors, np.float32)[:, None, None]
         if merging is not None:
             probabilities = np.tensordot(merging, probabilities, axes=1)
         classes[rows, columns] = probabilities.argmax(axis=0)

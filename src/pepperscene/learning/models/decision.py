@@ -21,6 +21,10 @@ Floats = NDArray[np.float64]
 TEMPERATURES: Final = (0.25, 4.0)
 """Range of fitted temperatures. Chosen: far beyond those of trained networks (Guo et al. 2017)."""
 
+FACTORS: Final = tuple(float(item) for item in np.geomspace(0.5, 16.0, 11))
+"""Tried by `fit_factors`. Chosen: from a probability of 2/3 to one of 1/17, in steps of the root of two."""
+
+_MOST_ROUNDS: Final = 4  # chosen: factors hardly depend on each other
 _LEAST: Final = 1e-6  # chosen: least share of a class, so that none is excluded for ever
 _MOST_STEPS: Final = 500  # chosen: of expectation and maximisation; most sets take some dozens
 _CHANGE: Final = 1e-7  # chosen: change of the shares at which the steps end
@@ -33,6 +37,7 @@ class DecisionDescription(Document):
     weights: list[Annotated[FiniteFloat, Field(strict=True, gt=0)]]
     frequencies: list[Annotated[FiniteFloat, Field(strict=True, ge=0, le=1)]]
     temperature: Annotated[FiniteFloat, Field(strict=True, ge=TEMPERATURES[0], le=TEMPERATURES[1])] = 1.0
+    factors: list[Annotated[FiniteFloat, Field(strict=True, gt=0)]]
 
 
 @final
@@ -49,18 +54,21 @@ class Decision:
         weights: `(k,)` of the classes in the loss.
         frequencies: `(k,)` shares of the classes in the pixels of the training images.
         temperature: by which logits are divided before (Guo et al. 2017).
+        factors: `(k,)`, by default ones, on the probabilities before the largest is chosen. The most probable
+            class is right most often, but a rare one has a higher IoU if it is chosen from a lower
+            probability on: see `fit_factors`.
         shares: `(k,)` shares of the classes in the images that are predicted; None for the frequencies.
     """
 
     weights: tuple[float, ...]
     frequencies: tuple[float, ...]
     temperature: float = 1.0
+    factors: tuple[float, ...] = ()
     shares: tuple[float, ...] | None = None
 
-    @classmethod
-    def plain(cls, count: int) -> Self:
-        """That of a network whose logits need no change."""
-        return cls((1.0,) * count, (1.0 / count,) * count)
+    def __post_init__(self) -> None:
+        if not self.factors:
+            object.__setattr__(self, "factors", (1.0,) * len(self.weights))
 
     @property
     def shift(self) -> Floats:
@@ -137,6 +145,39 @@ def fit_temperature(
 
     bounds = tuple(np.log(TEMPERATURES))
     return float(np.exp(minimize_scalar(entropy, bounds=bounds, method="bounded").x))
+
+
+def fit_factors(probabilities: NDArray[np.floating], labels: NDArray[np.integer]) -> Floats:
+    """Factors `(k,)` on probabilities with which the most probable classes have the greatest mean IoU.
+
+    One class after the other gets the best of the factors `FACTORS`, until none changes or `_MOST_ROUNDS` are
+    over; the most frequent one keeps 1.
+
+    Args:
+        probabilities: `(pixels, k)` of validation images.
+        labels: `(pixels,)` indices of their classes.
+    """
+    count = probabilities.shape[1]
+    frequent, factors = int(np.bincount(labels, minlength=count).argmax()), np.ones(count)
+
+    def mean_iou(tried: Floats) -> float:
+        predicted = (probabilities * tried).argmax(axis=1)
+        matrix = np.bincount(labels * count + predicted, minlength=count * count).reshape(count, count)
+        hits, either = np.diag(matrix), matrix.sum(axis=0) + matrix.sum(axis=1) - np.diag(matrix)
+        return float(np.mean(hits[either > 0] / either[either > 0]))
+
+    best = mean_iou(factors)
+    for _ in range(_MOST_ROUNDS):
+        before = factors.copy()
+        for index in (number for number in range(count) if number != frequent):
+            for factor in FACTORS:
+                tried = factors.copy()
+                tried[index] = factor
+                if (found := mean_iou(tried)) > best + _LEAST:
+                    best, factors = found, tried
+        if (factors == before).all():
+            break
+    return factors
 
 
 def _ratios(shares: Floats, frequencies: Floats) -> Floats:

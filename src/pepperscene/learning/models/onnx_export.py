@@ -149,12 +149,17 @@ def _exported_module(model: TrainedModel) -> Any:
 
 
 def _metadata(model: TrainedModel, size: tuple[int, int]) -> dict[str, str]:
-    """What a program needs to know to use the file, as texts."""
+    """What a program needs to know to use the file, as texts.
+
+    Factors multiply the probabilities of pixels before the largest is chosen (`Decision`).
+    """
+    decision = model.decision
     return {
         "task": model.task,
         "classes": json.dumps(list(model.classes.names)),
         "organs": str(model.classes),
         "colours": json.dumps(model.classes.colours.tolist()),
+        "factors": json.dumps([1.0] * len(model.classes) if decision is None else list(decision.factors)),
         "input": "sRGB, channels red, green, blue; 8-bit values divided by 255",
         "height": str(size[0]),
         "width": str(size[1]),

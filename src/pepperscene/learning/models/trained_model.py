@@ -175,7 +175,7 @@ class TrainedModel:
         """What is learned of the decision; shares belong to the images that are predicted."""
         if self.decision is None:
             return None
-        names = ("weights", "frequencies", "temperature")
+        names = ("weights", "frequencies", "temperature", "factors")
         return {name: getattr(self.decision, name) for name in names}
 
 
@@ -266,9 +266,11 @@ def _read_decision(content: DecisionDescription | None, count: int, file: Path) 
     """The decision of a model file; raises `InputError` if it is not of that number of classes."""
     if content is None:
         return None
-    if {len(content.weights), len(content.frequencies)} != {count}:
-        raise InputError(file, f"must hold weights and frequencies of {count} classes", key="decision")
-    return Decision(tuple(content.weights), tuple(content.frequencies), content.temperature)
+    lists = content.weights, content.frequencies, content.factors
+    if {len(item) for item in lists} != {count}:
+        raise InputError(file, f"must hold lists of {count} numbers, one for each class", key="decision")
+    weights, frequencies, factors = map(tuple, lists)
+    return Decision(weights, frequencies, content.temperature, factors)
 
 
 def _unknown_model(file: Path, recorded: str) -> InputError:

@@ -14,6 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import softmax
 from torch import nn
 from torch.nn import functional
 
@@ -26,7 +27,7 @@ from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.detection import evaluate_detector
 from pepperscene.learning.evaluation.evaluate import predict_classes, sampled_probabilities
 from pepperscene.learning.evaluation.measures import confusion_matrix, mean_intersection_over_union
-from pepperscene.learning.models.decision import Decision, fit_temperature
+from pepperscene.learning.models.decision import Decision, fit_factors, fit_temperature
 from pepperscene.learning.models.registry import without_initial_weights
 from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model, build_network
 from pepperscene.learning.options import MEASURES, TrainingOptions, TrainingProgress
@@ -195,8 +196,10 @@ class TrainingLoop:
             ends = step % options.validate == 0 or step == options.steps
             quality = None
             if ends:
-                quality = _known(self._validate(validation)) if validation else None
-                state = self._checkpoint(folder, step, state, quality, losses, validation)
+                if validation:
+                    self.trained = replace(self.trained, decision=self._calibrated(validation))
+                    quality = _known(self._validate(validation))
+                state = self._checkpoint(folder, step, state, quality, float(np.mean(losses)))
             if on_progress is not None:
                 rate = (step - start) * options.batch / (time.monotonic() - begin)
                 left = (options.steps - step) * options.batch / rate
@@ -252,13 +255,7 @@ class TrainingLoop:
         return logits
 
     def _checkpoint(
-        self,
-        folder: Path,
-        step: int,
-        state: TrainingState,
-        quality: float | None,
-        losses: Sequence[float],
-        validation: Sequence[ImageSet],
+        self, folder: Path, step: int, state: TrainingState, quality: float | None, loss: float
     ) -> TrainingState:
         """Write the network if it is the best one, the log, and last the state that a resumption reads."""
         folder.mkdir(parents=True, exist_ok=True)
@@ -268,9 +265,8 @@ class TrainingLoop:
         if best is None or (quality is not None and quality > best):
             best, best_step = quality, step
             training = {**self.record, "step": step, f"validation_{measure}": quality}
-            decision = self._calibrated(validation)
-            replace(self.trained, training=training, decision=decision).save(folder / MODEL_FILE)
-        _append_log(folder / LOG_FILE, {"step": step, "loss": float(np.mean(losses)), measure: quality})
+            replace(self.trained, training=training).save(folder / MODEL_FILE)
+        _append_log(folder / LOG_FILE, {"step": step, "loss": loss, measure: quality})
         state = TrainingState(step, best, best_step, self.record)
         write_state(folder, self.trained.module, self.optimiser, state)
         return state
@@ -290,7 +286,7 @@ class TrainingLoop:
         return float(mean_intersection_over_union(total))
 
     def _calibrated(self, validation: Sequence[ImageSet]) -> Decision | None:
-        """The decision with the temperature of the least cross-entropy in images; as it is without any."""
+        """The decision with the temperature and the factors that suit images best; as it is without any."""
         decision = self.trained.decision
         if decision is None:
             return None
@@ -304,8 +300,11 @@ class TrainingLoop:
         if not sum(map(len, labels)):
             return decision
         merging = self.labels.merging(self.trained.classes)
-        temperature = fit_temperature(np.concatenate(logits), np.concatenate(labels), decision.shift, merging)
-        return replace(decision, temperature=temperature)
+        values, truths = np.concatenate(logits), np.concatenate(labels)
+        decision = replace(decision, temperature=fit_temperature(values, truths, decision.shift, merging))
+        merged = softmax(values / decision.temperature + decision.shift, axis=1) @ merging.T
+        factors = np.where(merging.any(axis=0), merging.T @ fit_factors(merged, truths), 1.0)
+        return replace(decision, factors=tuple(factors.tolist()))
 
     def _labelled(self, sets: Sequence[ImageSet]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
         """Colour and class indices of the images of sets."""
