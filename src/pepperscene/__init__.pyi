@@ -68,13 +68,17 @@ from .grammar import Organ as Organ
 from .grammar import Plant as Plant
 from .grammar import grow as grow
 from .learning import ClassTable as ClassTable
+from .learning import DetectionEvaluation as DetectionEvaluation
 from .learning import Evaluation as Evaluation
 from .learning import TrainingOptions as TrainingOptions
 from .learning import evaluate as evaluate
+from .learning import evaluate_detector as evaluate_detector
 from .learning import predict as predict
 from .learning import with_shares as with_shares
 from .learning import write_evaluation as write_evaluation
+from .learning.models import Detections as Detections
 from .learning.models import TrainedModel as TrainedModel
+from .learning.models import export_model as export_model
 from .learning.models import load_model as load_model
 from .learning.training import train as train
 from .live import LiveScene as LiveScene

@@ -15,7 +15,7 @@ from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable, parse_sh
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 
-from pepperscene.learning.evaluation.evaluate import with_shares  # noqa: E402
+from pepperscene.learning.evaluation.evaluate import predict_classes, with_shares  # noqa: E402
 from pepperscene.learning.models import TrainedModel, build_model, load_model  # noqa: E402
 from pepperscene.learning.models.decision import (  # noqa: E402
     Decision,
@@ -185,6 +185,34 @@ def test_named_shares_leave_the_others_in_proportion():
 def test_rejects_texts_that_are_no_shares(text):
     with pytest.raises(ArgumentError, match="must be classes with shares"):
         parse_shares(text)
+
+
+def test_small_regions_of_fruit_get_the_other_class():
+    class Painted(torch.nn.Module):
+        """Logits of fruit and peduncle from red and blue."""
+
+        def __init__(self):
+            super().__init__()
+            self.none = torch.nn.Parameter(torch.zeros(1))
+
+        def forward(self, images):
+            return torch.cat([torch.full_like(images[:, :1], 0.5), images[:, :1], images[:, 2:]], dim=1) * 20
+
+    colour = np.zeros((20, 30, 3), np.uint8)
+    colour[2:6, 2:7, 0] = 255  # 20 pixels of fruit
+    colour[6:8, 4, 2] = 255  # and 2 of its peduncle
+    colour[12:15, 20:25, 0] = 255  # 15 pixels of another fruit
+    expected = np.where(colour[..., 0] > 0, 1, np.where(colour[..., 2] > 0, 2, 0))
+    model = TrainedModel(Painted(), "small", FRUIT)
+    np.testing.assert_array_equal(predict_classes(model, colour), expected)
+    for least, left in ((15, expected), (16, np.where(np.arange(20)[:, None] < 10, expected, 0)), (23, 0)):
+        found = predict_classes(model.with_least_area(least), colour)
+        np.testing.assert_array_equal(found, np.broadcast_to(left, found.shape))
+    # Without another class, nothing can be left out.
+    objects = ClassTable.parse("pepper,peduncle")
+    merging = objects.merging(FRUIT)
+    kept = predict_classes(model.with_least_area(99), colour, merging)
+    np.testing.assert_array_equal(kept, predict_classes(model, colour, merging))
 
 
 def painted(count, share, seed):

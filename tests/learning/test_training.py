@@ -288,7 +288,7 @@ def test_log_and_progress(tmp_path):
     images, seen = bands_set(3), []
     train(images, tmp_path / "a", replace(TINY, steps=5), validation=images[:1], on_progress=seen.append)
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == [
-        "model.safetensors", "state.safetensors", LOG_FILE,
+        "model.safetensors", "model_card.md", "state.safetensors", LOG_FILE,
     ]  # fmt: skip
     entries = log_of(tmp_path / "a")
     assert [entry["step"] for entry in entries] == [2, 4, 5]

@@ -42,6 +42,7 @@ class ReadsRed:
 
     classes: ClassTable = ORGANS
     changes: dict = field(default_factory=dict)
+    task: str = "segment"
 
     def probabilities(self, colour):
         ids = colour[..., 0].copy()

@@ -201,7 +201,8 @@ def command(function: Callable[P, R]) -> Callable[P, R]:
 
     Option models among its parameters become options, and errors become one line.
     """
-    app.command()(handle_errors(expand_options(function)))
+    name = function.__name__.replace("_", "-")
+    app.command(name)(handle_errors(expand_options(function)))
     return function
 
 

@@ -8,20 +8,29 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from pepperscene.cli.application import JsonOption, LabelOptions, command, print_ruled_table
-from pepperscene.cli.options import Only
+from pepperscene.cli.options import Only, parse_size
 from pepperscene.cli.progress import echo_progress, image_progress, training_progress
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.learning.class_table import ClassTable, parse_shares
-from pepperscene.learning.options import ExperimentOptions, TrainingOptions, is_built_in
-from pepperscene.options import Option
+from pepperscene.learning.options import (
+    DECIDED_SCORE,
+    MEASURES,
+    ExperimentOptions,
+    TrainingOptions,
+    is_built_in,
+    parse_classes,
+)
+from pepperscene.options import Option, check_options
 
 if TYPE_CHECKING:
+    from pepperscene.learning.evaluation.detection import DetectionEvaluation
+    from pepperscene.learning.evaluation.evaluation import Evaluation
     from pepperscene.learning.models.trained_model import TrainedModel
 
 _INTERVAL_S: Final = 5.0  # chosen: seconds between lines that are frequent
@@ -53,7 +62,7 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Resume the training in the folder.")] = False,
     meaning: LabelOptions,
 ) -> None:
-    """Train a network to separate the classes of labelled images."""
+    """Train a network to separate the classes of labelled images, or to find objects (--task detect)."""
     from pepperscene.dataset.readers.open import open_image_sets
 
     # Find errors in the arguments before torch is imported, which takes seconds.
@@ -75,6 +84,8 @@ def train(
             raise InputError("--model", "cannot be combined with --start, which has a model")
         if not _is_given(context, "width"):
             options = replace(options, width=origin.width)
+        if not _is_given(context, "task"):
+            options = replace(options, task=origin.task)
     try:
         with training_progress() as on_progress:
             network = train_model(
@@ -90,8 +101,9 @@ def train(
     except KeyboardInterrupt as error:
         error.add_note("the last checkpoint is kept; run the same command with --resume to continue")
         raise
-    found = network.training["validation_mean_iou"]
-    quality = "" if found is None else f", mean IoU {found:.3f} of the validation"
+    found = network.training[f"validation_{MEASURES[network.task]}"]
+    title = "AP50" if network.task == "detect" else "mean IoU"
+    quality = "" if found is None else f", {title} {found:.3f} of the validation"
     typer.echo(f"trained, step {network.training['step']:,}{quality}: {out}")
 
 
@@ -109,6 +121,7 @@ class ModelUse:
         factory: `module:factory` of a network that is none of this package.
         allow_code: whether it may be called.
         classes: text of the classes that the model's are merged to.
+        least_area: pixels of the smallest regions of fruit and peduncles that are kept.
         prior: shares of classes in the images, or images in which they are estimated.
     """
 
@@ -127,6 +140,22 @@ class ModelUse:
             "TEXT",
         ),
     ] = None
+    score: Annotated[
+        float | None,
+        Option(
+            "Least score of a detector's objects: those that precision and recall count, or that are drawn. "
+            "Default: 0.3.",
+            "F",
+            minimum=0,
+            maximum=1,
+        ),
+    ] = None
+    least_area: Annotated[
+        int,
+        Option(
+            "Least pixels of a region of fruit and peduncles; smaller ones are left out.", "PX", minimum=0
+        ),
+    ] = 0
     prior: Annotated[
         str | None,
         Option(
@@ -136,12 +165,13 @@ class ModelUse:
         ),
     ] = None
 
-    def table(self) -> ClassTable | None:
-        """The classes."""
-        return None if self.classes is None else ClassTable.parse(self.classes)
+    def table(self, task: str) -> ClassTable | None:
+        """The classes of a model for a task."""
+        return None if self.classes is None else parse_classes(task, self.classes)
 
     def load(self, path: Path) -> TrainedModel:
         """The model of a file."""
+        check_options(self)
         require_torch()
         from pepperscene.learning.models.trained_model import load_model
 
@@ -153,16 +183,21 @@ class ModelUse:
             raise ArgumentError(where, error.problem, key=error.key, value=error.value) from None
         if self.factory is not None and is_built_in(network.model):
             raise ArgumentError("factory", f"does not apply to {network.model}, a model of this package")
-        return network if self.prior is None else self._with_prior(network, self.prior)
+        if self.prior is not None:
+            network = self._with_prior(network, self.prior)
+        return network if self.least_area == 0 else network.with_least_area(self.least_area)
 
     def _with_prior(self, network: TrainedModel, prior: str) -> TrainedModel:
         """The network for images with other shares of classes."""
         from pepperscene.dataset.readers.open import open_images
         from pepperscene.learning.evaluation.evaluate import with_shares
 
+        if network.task == "detect":
+            raise ArgumentError("prior", "applies to pixels, and not to the objects of a detector")
+        table = self.table(network.task)
         if "=" in prior and not Path(prior).exists():
-            return with_shares(network, parse_shares(prior), self.table())
-        return with_shares(network, [open_images(prior)], self.table())
+            return with_shares(network, parse_shares(prior), table)
+        return with_shares(network, [open_images(prior)], table)
 
 
 @command
@@ -177,23 +212,37 @@ def evaluate(
     limit: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Evaluate at most this many images of each set.")
     ] = None,
+    regions: Annotated[
+        bool, typer.Option("--regions", help="Without instances, connected regions are a detector's objects.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Compare a model's predictions with the masks of images: IoU, precision, recall and confusion."""
+    """Compare a model's predictions with the masks of images: IoU, precision, recall and confusion.
+
+    The objects of a detector are compared by COCO's average precision.
+    """
     from pepperscene.atomic import check_can_write
     from pepperscene.dataset.readers.open import open_image_sets
     from pepperscene.learning.evaluation.evaluate import evaluate as evaluate_model
     from pepperscene.learning.evaluation.page import JSON_NAME, PAGE_NAME, write_evaluation
 
     # Find errors before the first image is predicted: an evaluation can take hours.
-    table = use.table()
     images = open_image_sets(sets, **vars(meaning))
     if out is not None:
         check_can_write(out, (JSON_NAME, PAGE_NAME))
     network = use.load(model)
+    table = use.table(network.task)
 
     with image_progress("evaluated") as on_progress:
-        result = evaluate_model(network, images, classes=table, limit=limit, on_progress=on_progress)
+        options: dict[str, Any] = {"classes": table, "limit": limit, "on_progress": on_progress}
+        result: Evaluation | DetectionEvaluation
+        if network.task == "detect":
+            from pepperscene.learning.evaluation.detection import evaluate_detector
+
+            score = DECIDED_SCORE if use.score is None else use.score
+            result = evaluate_detector(network, images, least_score=score, regions=regions, **options)
+        else:
+            result = evaluate_model(network, images, **options)
     files = None if out is None else write_evaluation(result, network, images, out)
     if json:
         typer.echo(json_text.dumps(result.to_json(), indent=1, allow_nan=False))
@@ -217,17 +266,43 @@ def predict(
     use: ModelUse,
     meaning: Annotated[LabelOptions, Only("half")],
 ) -> None:
-    """Write the classes that a model predicts for images: class ids and class colours as PNG."""
+    """Write the classes that a model predicts for images: class ids and class colours as PNG.
+
+    The objects of a detector are written as pictures with outlines, and as COCO's results.
+    """
     from pepperscene.learning.evaluation.predict import predict as predict_images
 
-    table = use.table()
     network = use.load(model)
+    table = use.table(network.task)
+    score = DECIDED_SCORE if use.score is None else use.score
     with image_progress("predicted") as on_progress:
         result = predict_images(
-            network, images, out, classes=table, half=meaning.half, on_progress=on_progress
+            network, images, out, classes=table, half=meaning.half, least_score=score, on_progress=on_progress
         )
     count = len(result.names)
     typer.echo(f"{count:,} image{'' if count == 1 else 's'} predicted: {result.folder}")
+
+
+@command
+def export_model(
+    model: ModelArgument,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File to write, such as model.onnx.")],
+    use: Annotated[ModelUse, Only("factory", "allow_code")],
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH", help="Size of the images that it takes. Default: the model's width, 4 to 3."
+        ),
+    ] = None,
+) -> None:
+    """Write a model as an ONNX file, which runs without torch, and compare it with torch."""
+    chosen = None if size is None else parse_size(size)
+    network = use.load(model)
+    from pepperscene.learning.models.onnx_export import export_model as export
+
+    written = export(network, out, chosen)
+    height, width = written.size
+    typer.echo(f"{written.file}: images of {width}x{height}, at most {written.difference:.1e} from torch")
 
 
 @command

@@ -239,13 +239,11 @@ def training_progress() -> Iterator[Callable[[TrainingProgress], None]]:
                 bar[0].update(
                     bar[1], completed=progress.step, total=progress.steps, description=text, rate=rate
                 )
-            if progress.mean_iou is not None:
-                text += f", mean IoU {progress.mean_iou:.3f}"
+            if progress.quality:
+                text += f", {progress.quality}"
                 if bar is not None:
                     bar[0].console.print(text, markup=False, highlight=False)
-            if bar is None and (
-                throttle.is_due(progress.step, progress.steps) or progress.mean_iou is not None
-            ):
+            if bar is None and (throttle.is_due(progress.step, progress.steps) or progress.quality):
                 echo_progress(f"{text} ({rate})")
 
         yield show

@@ -1,5 +1,7 @@
 from .class_table import FRUIT_CLASSES as FRUIT_CLASSES
 from .class_table import ClassTable as ClassTable
+from .evaluation.detection import DetectionEvaluation as DetectionEvaluation
+from .evaluation.detection import evaluate_detector as evaluate_detector
 from .evaluation.evaluate import Segmenter as Segmenter
 from .evaluation.evaluate import evaluate as evaluate
 from .evaluation.evaluate import with_shares as with_shares

@@ -36,22 +36,23 @@ class ClassTable:
         return cls(tuple(_IDS), tuple(frozenset({class_id}) for class_id in _IDS.values()))
 
     @classmethod
-    def parse(cls, text: str | None, where: str = "classes") -> Self:
+    def parse(cls, text: str | None, where: str = "classes", *, least: int = 2) -> Self:
         """Read a table from text.
 
         Args:
             text: as `parse_class_mapping` reads it, of organ classes; those that do not occur are dropped.
                 None for all eight.
             where: name of the argument, for messages.
+            least: least number of classes.
 
         Raises:
-            ArgumentError: a name is unknown or occurs twice, or there are fewer than two classes.
+            ArgumentError: a name is unknown or occurs twice, or there are fewer classes than `least`.
         """
         if text is None:
             return cls.organs()
         classes = parse_class_mapping(text, tuple(_IDS), where)
         names = tuple(name or organs[0] for name, organs in classes)
-        if len(names) < 2:
+        if len(names) < least:
             raise ArgumentError(where, f"there must be two classes or more, not {len(names)}")
         return cls(names, tuple(frozenset(_IDS[organ] for organ in organs) for _, organs in classes))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Annotated, Any, Final, Self
 
+from pepperscene.classes import OrganClass
 from pepperscene.errors import ArgumentError
 from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 from pepperscene.options import NestedOptions, Option, check_options
@@ -54,26 +55,56 @@ def is_built_in(model: str) -> bool:
     return model_name(model) in MODELS
 
 
+TASKS: Final = ("segment", "detect")
+"""What a network can be trained for."""
+
+MEASURES: Final = {"segment": "mean_iou", "detect": "ap50"}
+"""By which validations choose the best state of a network for each task: a field of `TrainingProgress`."""
+
+FRUIT_OBJECTS: Final = "fruit=pepper,peduncle"
+"""Classes of a detector, unless options say otherwise."""
+
+DECIDED_SCORE: Final = 0.3
+"""From which a detection is an object. Chosen: scores of centres are lower than probabilities of pixels."""
+
+
+def parse_classes(task: str, text: str | None) -> ClassTable:
+    """The classes of a network, of a text as for `ClassTable.parse` or None for the default of the task.
+
+    Raises:
+        ArgumentError: the text is not valid, or the background is one of the objects of a detector.
+    """
+    if task != "detect":
+        return ClassTable.parse(text)
+    table = ClassTable.parse(text or FRUIT_OBJECTS, least=1)
+    if any(int(OrganClass.BACKGROUND) in members for members in table.members):
+        raise ArgumentError("classes", "must be classes of objects for a detector, without the background")
+    return table
+
+
 @dataclass(frozen=True)
 class TrainingOptions:
     """Options of a training; those that are None are the model's defaults.
 
     Attributes:
-        model: text for `build_model`.
-        classes: text for `ClassTable.parse`; None for all eight classes.
+        model: text for `build_model`; a detector is made of `small` or `efficientnet_lite0`.
+        classes: text for `ClassTable.parse`; None for all eight classes, or for fruit and peduncles.
         size: height and width in pixels of the crops that the network sees.
         width: to which images are scaled before they are cropped, and later before they are segmented; None
             to keep their own.
         learning_rate: of Adam, whose other parameters are the paper's (.9, .999, 1e-8).
         schedule: of the learning rate: "constant", or "cosine": a warm-up of a twentieth of the steps, then
             half a cosine down to zero.
-        balance: the loss weights a class by its frequency to the power of minus this.
+        balance: the loss weights a class by its frequency to the power of minus this; not that of a detector.
+        least_area: least pixels of an object, in images of `width`; smaller ones count neither for nor
+            against a detector, because a person would not label them.
         matching: key of `colour_matching.MATCHES`, by which colours come near to those of photographs.
         validate: number of steps between validations and checkpoints; None for a tenth of all.
         precision: "float32", "bfloat16", or "auto": bfloat16 where the processor has instructions for it.
         workers: processes that read images; 0 for this one. They do not change the result.
         device: of torch; None for a GPU if there is one.
         allow_code: whether a model `module:factory` may be imported and called.
+        task: "segment" gives each pixel a class; "detect" finds objects, with boxes and masks.
     """
 
     model: Annotated[
@@ -88,7 +119,9 @@ class TrainingOptions:
     classes: Annotated[
         str | None,
         Option(
-            "Classes of the labels (fruit=pepper,other=leaf+stem). Default: all eight, or --start's.", "TEXT"
+            "Classes of the labels (fruit=pepper,other=leaf+stem). Default: all eight (detect: fruit and "
+            "peduncle), or --start's.",
+            "TEXT",
         ),
     ] = None
     steps: Annotated[int | None, Option("Steps of the optimiser.", "N", minimum=1)] = None
@@ -116,6 +149,9 @@ class TrainingOptions:
     balance: Annotated[
         float | None, Option("0 weights all pixels alike, 1 all classes.", "F", minimum=0, maximum=1)
     ] = None
+    least_area: Annotated[
+        int, Option("Pixels below which an object is ignored (detect), at the width.", "PX", minimum=1)
+    ] = 50  # chosen: a square of 7 x 7, below which persons leave objects out
     augmentation: Annotated[
         float, Option("Strength of random changes of the images, 0 to 2.", "F", minimum=0, maximum=2)
     ] = 1.0
@@ -142,6 +178,10 @@ class TrainingOptions:
     workers: Annotated[int, Option("Processes that read images.", "N", minimum=0, shows_range=True)] = 0
     device: Annotated[str | None, Option("Device of torch, such as cpu or cuda:0.", "NAME")] = None
     allow_code: Annotated[bool, Option("Allow the code of --model module:factory to run.")] = False
+    task: Annotated[
+        str,
+        Option("segment: a class for each pixel; detect: boxes and masks of objects.", "NAME", choices=TASKS),
+    ] = "segment"
 
     def completed(self) -> Self:
         """The options with the model's defaults filled in.
@@ -151,19 +191,25 @@ class TrainingOptions:
         """
         defaults = vars(MODELS.get(model_name(self.model), _OTHER))
         missing = {name: value for name, value in defaults.items() if getattr(self, name) is None}
-        filled = replace(self, classes=str(ClassTable.parse(self.classes)), **missing)
+        filled = replace(self, classes=str(self.table()), **missing)
         if filled.validate is None and filled.steps is not None:
             filled = replace(filled, validate=max(1, filled.steps // 10))
         check_options(filled)
         return filled
 
+    def table(self) -> ClassTable:
+        """The classes; raises `ArgumentError` if their text is not allowed."""
+        return parse_classes(self.task, self.classes)
+
     def as_record(self) -> dict[str, Any]:
         """The options that define the result of a training, as JSON values."""
-        names = [item.name for item in fields(self) if item.name not in _UNRECORDED]
+        left_out = _UNRECORDED if self.task == "detect" else (*_UNRECORDED, *_OF_DETECTORS)
+        names = [item.name for item in fields(self) if item.name not in left_out]
         return {**{name: getattr(self, name) for name in names}, "size": list(self.size)}
 
 
 _UNRECORDED: Final = ("workers", "device", "allow_code")
+_OF_DETECTORS: Final = ("task", "least_area")
 
 _FINE_RATE: Final = 0.2  # chosen: part of the learning rate, so that what was learned is not lost at once
 _FINE_STEPS: Final = 0.25  # chosen: part of the steps; a few dozen photographs are seen often enough
@@ -188,7 +234,7 @@ class ExperimentOptions:
     training: Annotated[
         TrainingOptions,
         NestedOptions(
-            omitted=("classes", "schedule", "balance", "seed"),
+            omitted=("task", "classes", "schedule", "balance", "least_area", "seed"),
             names={"size": "crop"},
             help={
                 "model": "Model of the networks, as for `train`.",
@@ -285,6 +331,7 @@ class TrainingProgress:
         images_per_s: since the start or the resumption.
         left_s: estimated time to the end, in seconds.
         mean_iou: of a validation after this step; None if there was none, or no labelled pixel in it.
+        ap50: likewise of a detector: the mean AP50 of its masks.
     """
 
     step: int
@@ -293,3 +340,10 @@ class TrainingProgress:
     images_per_s: float
     left_s: float
     mean_iou: float | None = None
+    ap50: float | None = None
+
+    @property
+    def quality(self) -> str:
+        """The measure of the validation in words; "" if there is none."""
+        values = {"mean IoU": self.mean_iou, "AP50": self.ap50}
+        return "".join(f"{name} {value:.3f}" for name, value in values.items() if value is not None)

@@ -8,6 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.colour.comparison.bootstrap import bootstrap_weights
@@ -66,6 +67,10 @@ def predict_classes(
         InputError: the model's probabilities have another shape, or are not finite.
     """
     classes = np.empty(colour.shape[:2], np.uint8)
+    decision = model.decision if isinstance(model, TrainedModel) else None
+    least_area = 0 if decision is None else decision.least_area
+    is_object = _object_classes(model.classes, merging)
+    others = np.zeros_like(classes)
     for (rows, columns), probabilities in _probability_parts(model, colour):
         expected = (len(model.classes), *classes[rows, columns].shape)
         if probabilities.shape != expected:
@@ -73,12 +78,29 @@ def predict_classes(
             raise InputError("model", problem)
         if not np.isfinite(probabilities).all():
             raise InputError("model", "gives probabilities that are not finite numbers")
-        if isinstance(model, TrainedModel) and model.decision is not None:
-            probabilities = probabilities * np.array(model.decision.factors, np.float32)[:, None, None]
+        if decision is not None:
+            probabilities = probabilities * np.array(decision.factors, np.float32)[:, None, None]
         if merging is not None:
             probabilities = np.tensordot(merging, probabilities, axes=1)
         classes[rows, columns] = probabilities.argmax(axis=0)
+        if least_area:
+            others[rows, columns] = np.where(is_object[:, None, None], 0, probabilities).argmax(axis=0)
+    if least_area:
+        regions, _ = label(is_object[classes])
+        small = np.bincount(regions.ravel()) < least_area
+        # Region 0 is what belongs to no object.
+        small[0] = False
+        np.copyto(classes, others, where=small[regions])
     return classes
+
+
+def _object_classes(table: ClassTable, merging: NDArray[np.float32] | None) -> NDArray[np.bool_]:
+    """Whether each merged class consists of fruit or peduncles only; no class if there is no other one."""
+    objects = {int(OrganClass.PEPPER), int(OrganClass.PEDUNCLE)}
+    found = np.array([ids <= objects for ids in table.members])
+    if merging is not None:
+        found = (merging @ ~found) == 0
+    return np.asarray(found & ~found.all())
 
 
 def _probability_parts(
@@ -191,7 +213,7 @@ def evaluate(
             or the model's classes cannot be merged to `classes`.
     """
     sets = (sets,) if isinstance(sets, ImageSet) else tuple(sets)
-    _check_sets(sets, limit)
+    check_sets(sets, limit)
     table = model.classes if classes is None else classes
     merging = None if classes is None else classes.merging(model.classes)
 
@@ -202,7 +224,7 @@ def evaluate(
     summaries = []
     for number, (images, chosen) in enumerate(zip(sets, positions, strict=True)):
         before = len(measured)
-        for position, image in _read_images(images, chosen):
+        for position, image in read_images(images, chosen):
             if image.classes is not None:
                 measured.append(_measure_image(model, table, merging, image, (number, position)))
             done += 1
@@ -231,7 +253,8 @@ def fruit_class(classes: ClassTable) -> int | None:
     return classes.members.index(fruit) if fruit in classes.members else None
 
 
-def _check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
+def check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
+    """Raise an error if there is nothing to evaluate."""
     if not sets:
         raise ArgumentError("sets", "must hold at least one set of images")
     if limit is not None and limit < 1:
@@ -241,7 +264,7 @@ def _check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
             raise InputError(images.name, "holds no images")
 
 
-def _read_images(images: ImageSet, positions: Sequence[int]) -> Iterator[tuple[int, LabelledImage]]:
+def read_images(images: ImageSet, positions: Sequence[int]) -> Iterator[tuple[int, LabelledImage]]:
     """The images at these positions, of which only what evaluation needs is read."""
     selected = images.select(*_FIELDS)
     for position in positions:

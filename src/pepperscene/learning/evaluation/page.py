@@ -13,6 +13,7 @@ from pepperscene.atomic import canonical_json, check_can_write, write_files
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import InputError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.evaluation.detection import DetectionEvaluation
 from pepperscene.learning.evaluation.evaluate import Segmenter, label_image
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, Evaluation
 from pepperscene.learning.pages import (
@@ -42,15 +43,18 @@ class EvaluationFiles:
 
 
 def write_evaluation(
-    evaluation: Evaluation, model: Segmenter, sets: ImageSet | Sequence[ImageSet], out: str | Path
+    evaluation: Evaluation | DetectionEvaluation,
+    model: Segmenter,
+    sets: ImageSet | Sequence[ImageSet],
+    out: str | Path,
 ) -> EvaluationFiles:
     """Write `evaluation.json` and `evaluation.html` into a folder, both or none.
 
     The page needs no other file. It shows the images with the highest, the median and the lowest mean IoU,
-    each as photograph, mask and prediction.
+    each as photograph, mask and prediction; of a detector, which `predict` draws, the tables alone.
 
     Args:
-        evaluation: result of `evaluate`.
+        evaluation: result of `evaluate` or `evaluate_detector`.
         model: the model that was evaluated; it predicts the images of the page again.
         sets: the sets that were evaluated, in the same order.
         out: the folder, which is made if missing.
@@ -70,12 +74,16 @@ def write_evaluation(
     return EvaluationFiles(*write_files(folder, content))
 
 
-def _page_html(evaluation: Evaluation, model: Segmenter, sets: Sequence[ImageSet]) -> str:
-    mean_iou = np.array([image.mean_iou for image in evaluation.images])
-    images = [
-        _image_panels(word, evaluation.images[at], evaluation.classes, model, sets)
-        for word, at in ranked_examples(mean_iou)
-    ]
+def _page_html(
+    evaluation: Evaluation | DetectionEvaluation, model: Segmenter, sets: Sequence[ImageSet]
+) -> str:
+    images = []
+    if isinstance(evaluation, Evaluation):
+        mean_iou = np.array([image.mean_iou for image in evaluation.images])
+        images = [
+            _image_panels(word, evaluation.images[at], evaluation.classes, model, sets)
+            for word, at in ranked_examples(mean_iou)
+        ]
     title = f"Evaluation on {', '.join(item.name for item in evaluation.sets)}"
     return render_page("evaluation.html", title, tables=evaluation.tables(), images=images)
 

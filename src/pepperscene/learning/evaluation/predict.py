@@ -25,10 +25,13 @@ from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.evaluate import Segmenter, predict_classes
+from pepperscene.learning.evaluation.outlines import IMAGES_NAME, OUTLINES, RESULTS_NAME, ObjectWriter
+from pepperscene.learning.models.trained_model import TrainedModel
+from pepperscene.learning.options import DECIDED_SCORE
 
 CLASSES_NAME: Final = "classes.json"
 FORMAT: Final = "pepperscene prediction 1"
-FOLDERS: Final = ("class", "class_colour")
+FOLDERS: Final = ("class", "class_colour", OUTLINES)
 
 Source = ImageSet | str | Path
 """A set of images, a folder of one, or a picture."""
@@ -42,7 +45,8 @@ class Predictions:
 
     Attributes:
         folder: of the files.
-        names: of the images, in order: `class/NAME.png` and `class_colour/NAME.png` belong to each.
+        names: of the images, in order: `class/NAME.png` and `class_colour/NAME.png` belong to each, or of a
+            detector `outlines/NAME.png`.
     """
 
     folder: Path
@@ -56,6 +60,7 @@ def predict(
     *,
     classes: ClassTable | None = None,
     half: str | None = None,
+    least_score: float = DECIDED_SCORE,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Predictions:
     """Predict the classes of images, and write them as `class/NAME.png` and `class_colour/NAME.png`.
@@ -64,12 +69,16 @@ def predict(
     classes. `classes.json` lists the values with their names and colours; it is written last. Each file is
     complete or absent.
 
+    A detector's objects are outlined in `outlines/NAME.png`, and are COCO's results in `detections.json`;
+    `images.json` lists their images and categories.
+
     Args:
         model: a trained model.
         images: one or more of: a set of images, a folder that `open_images` reads, a picture file.
         out: a new or an empty folder, or one of earlier predictions, which are replaced where names match.
         classes: to predict, to which the model's are merged; None for the model's.
         half: of the published data set, as for `open_images`.
+        least_score: of the objects that are outlined.
         on_progress: called after each image with the number of images done and of all.
 
     Raises:
@@ -82,6 +91,8 @@ def predict(
     table = model.classes if classes is None else classes
     merging = None if classes is None else classes.merging(model.classes)
     readers = _collect_readers(sources, half)
+    detects = isinstance(model, TrainedModel) and model.task == "detect"
+    objects = ObjectWriter(model, table, least_score) if detects else None  # type: ignore[arg-type]
 
     # Values and colours of the classes.
     values = class_values(table)
@@ -93,14 +104,22 @@ def predict(
     try:
         for done, (name, read) in enumerate(readers.items(), start=1):
             colour, turned = read()
-            predicted = values[predict_classes(model, colour, merging)]
-            contents = {"class": png_bytes(predicted, colours), "class_colour": png_bytes(palette[predicted])}
+            if objects is not None:
+                contents = objects.add(name, colour)
+            else:
+                predicted = values[predict_classes(model, colour, merging)]
+                contents = {
+                    "class": png_bytes(predicted, colours),
+                    "class_colour": png_bytes(palette[predicted]),
+                }
             for kind, content in contents.items():
                 # Beside a turned photograph, the mask says that it is of the displayed one.
                 _write(folder / kind / f"{name}.png", with_upright_exif(content) if turned else content)
             if on_progress is not None:
                 on_progress(done, len(readers))
-        _write(folder / CLASSES_NAME, canonical_json(_classes_json(table, values)))
+        classes_file = {CLASSES_NAME: canonical_json(_classes_json(table, values))}
+        for file, content in (classes_file if objects is None else objects.files()).items():
+            _write(folder / file, content)
     except OSError as error:
         raise write_error(error, folder) from None
     return Predictions(folder, tuple(readers))
@@ -126,7 +145,7 @@ def _classes_json(table: ClassTable, values: NDArray[np.uint8]) -> dict[str, obj
 def _check_folder(folder: Path) -> None:
     """Raise `OutputError` if the folder cannot be written to, or holds anything but earlier predictions."""
     check_can_create(folder)
-    allowed = {*FOLDERS, CLASSES_NAME, *SYSTEM_FILES}
+    allowed = {*FOLDERS, CLASSES_NAME, RESULTS_NAME, IMAGES_NAME, *SYSTEM_FILES}
     others = (
         sorted(path.name for path in folder.iterdir() if path.name not in allowed) if folder.is_dir() else []
     )

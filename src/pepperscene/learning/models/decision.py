@@ -58,6 +58,8 @@ class Decision:
             class is right most often, but a rare one has a higher IoU if it is chosen from a lower
             probability on: see `fit_factors`.
         shares: `(k,)` shares of the classes in the images that are predicted; None for the frequencies.
+        least_area: pixels of the smallest connected regions of fruit and peduncles that are kept; smaller
+            ones get the most probable of the other classes. Masks by hand lack what nobody notices.
     """
 
     weights: tuple[float, ...]
@@ -65,6 +67,7 @@ class Decision:
     temperature: float = 1.0
     factors: tuple[float, ...] = ()
     shares: tuple[float, ...] | None = None
+    least_area: int = 0
 
     def __post_init__(self) -> None:
         if not self.factors:

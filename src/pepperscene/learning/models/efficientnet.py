@@ -79,17 +79,33 @@ class EfficientNetLite0(nn.Module):
             channels = outputs
         self.decoder = nn.ModuleList(layers)
         self.classify = nn.Conv2d(channels, 4 * classes, 1)
+        self.quarter_channels = _DECODER[2]
         if weights:
             _read_weights(self.encoder, weights)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Logits of the classes."""
         height, width = images.shape[-2:]
-        padded = pad_to_multiple(images, _COARSEST)
-        *skips, decoded = self.encoder((padded - _OFFSET) * _SCALE)
-        for layer, skip in zip(self.decoder, reversed(skips), strict=True):
-            decoded = layer(join_finer(decoded, skip))
+        half, decoded = self._decode(images)
+        decoded = self.decoder[3](join_finer(decoded, half))
         return functional.pixel_shuffle(self.classify(decoded), 2)[..., :height, :width]
+
+    def quarter_features(self, images: torch.Tensor) -> torch.Tensor:
+        """Features `(n, quarter_channels, h', w')` at a quarter of the size of the padded images."""
+        return self._decode(images)[1]
+
+    def without_last_layers(self) -> Self:
+        """The network without the layers that `quarter_features` does not use."""
+        self.decoder, self.classify = self.decoder[:3], None
+        return self
+
+    def _decode(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features at a half of the size, of the encoder, and at a quarter, of the decoder."""
+        padded = pad_to_multiple(images, _COARSEST)
+        half, *skips, decoded = self.encoder((padded - _OFFSET) * _SCALE)
+        for layer, skip in zip(self.decoder[:3], reversed(skips), strict=True):
+            decoded = layer(join_finer(decoded, skip))
+        return half, decoded
 
 
 class _Encoder(nn.Module):

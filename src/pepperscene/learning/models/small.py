@@ -9,7 +9,7 @@ video super-resolution using an efficient sub-pixel convolutional neural network
 
 from __future__ import annotations
 
-from typing import Final, final
+from typing import Final, Self, final
 
 import torch
 from torch import nn
@@ -55,17 +55,31 @@ class SmallNetwork(nn.Module):
         self.to_quarter = convolution(eighth + quarter, quarter)
         self.to_half = convolution(quarter + half, half)
         self.classify = nn.Conv2d(half, 4 * classes, 1)
+        self.quarter_channels = quarter
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Logits of the classes."""
         height, width = images.shape[-2:]
+        half, decoded = self._decode(images)
+        decoded = self.to_half(join_finer(decoded, half))
+        return functional.pixel_shuffle(self.classify(decoded), 2)[..., :height, :width]
+
+    def quarter_features(self, images: torch.Tensor) -> torch.Tensor:
+        """Features `(n, quarter_channels, h', w')` at a quarter of the size of the padded images."""
+        return self._decode(images)[1]
+
+    def without_last_layers(self) -> Self:
+        """The network without the layers that `quarter_features` does not use."""
+        self.to_half, self.classify = None, None
+        return self
+
+    def _decode(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features at a half of the size, of the encoder, and at a quarter, of the decoder."""
         half = self.stem(pad_to_multiple(images, _SIXTEENTH) * 4 - 2)
         quarter = self.quarter(half)
         eighth = self.eighth(quarter)
         decoded = self.to_eighth(join_finer(self.sixteenth(eighth), eighth))
-        decoded = self.to_quarter(join_finer(decoded, quarter))
-        decoded = self.to_half(join_finer(decoded, half))
-        return functional.pixel_shuffle(self.classify(decoded), 2)[..., :height, :width]
+        return half, self.to_quarter(join_finer(decoded, quarter))
 
 
 class _Residual(nn.Module):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,9 @@ from pepperscene.document import Document, validate
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.models.decision import Decision, DecisionDescription
+from pepperscene.learning.models.detections import Detections
 from pepperscene.learning.models.registry import build_model, without_initial_weights
-from pepperscene.learning.options import LEAST_SIDE, MODELS, MOST_SIDE, is_built_in
+from pepperscene.learning.options import LEAST_SIDE, MODELS, MOST_SIDE, is_built_in, parse_classes
 from pepperscene.user_code import user_errors
 from pepperscene.user_files import check_file
 from pepperscene.version import __version__
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 MODEL_FILE: Final = "model.safetensors"
 FORMAT: Final = "pepperscene model 1"
+_MOST_DETECTED: Final = 12_500_000  # chosen: pixels of a photograph of 4096 x 3048, which takes some 8 GB
 
 
 _Text = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
@@ -47,6 +49,7 @@ class ModelDescription(Document):
     version: _Text = "unknown"
     decision: DecisionDescription | None = None
     training: dict[str, Any]
+    task: Literal["segment", "detect"] = "segment"
 
 
 class StateDescription(Document):
@@ -69,7 +72,7 @@ def check_description(
 @final
 @dataclass(frozen=True, eq=False)
 class TrainedModel:
-    """A network that separates classes.
+    """A network that separates classes, or a detector that finds their objects.
 
     Attributes:
         module: takes images `(n, 3, h, w)` in sRGB, 0 to 1.
@@ -78,6 +81,7 @@ class TrainedModel:
         width: width in pixels to which images are scaled before the network sees them; None for their own.
         training: how it was trained: sets with their digests, versions, steps, options.
         decision: how its logits become probabilities; None for a plain softmax.
+        task: "segment" or "detect".
     """
 
     module: nn.Module
@@ -86,25 +90,75 @@ class TrainedModel:
     width: int | None = None
     training: Mapping[str, Any] = field(default_factory=dict)
     decision: Decision | None = None
+    task: str = "segment"
 
     def probabilities(self, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Probabilities of the classes `(k, h, w)` for an image `(h, w, 3)`."""
+        """Probabilities of the classes `(k, h, w)` for an image `(h, w, 3)`.
+
+        Raises:
+            ArgumentError: the model is a detector.
+        """
         import torch
         from torch.nn import functional
 
+        self.check_task("segment")
         self.module.eval()
-        device = next(self.module.parameters()).device
         with torch.inference_mode():
-            image = torch.from_numpy(np.array(colour)).to(device).permute(2, 0, 1)[None].float() / 255
-            logits = apply_model(self.module, _scaled(image, self.width))
+            logits = apply_model(self.module, self._network_input(colour))
             enlarged = functional.interpolate(
                 logits, size=colour.shape[:2], mode="bilinear", align_corners=False
             )
             return self.decide(enlarged)[0].float().cpu().numpy()
 
+    def with_least_area(self, pixels: int) -> Self:
+        """The same network, whose regions of fruit and peduncles have at least so many pixels (`Decision`).
+
+        Raises:
+            ArgumentError: the model is a detector.
+        """
+        self.check_task("segment")
+        count = len(self.classes)
+        decision = self.decision or Decision((1.0,) * count, (1.0 / count,) * count)
+        return replace(self, decision=replace(decision, least_area=pixels))
+
     def decide(self, logits: torch.Tensor) -> torch.Tensor:
         """Probabilities `(..., k, h, w)` of logits of that shape."""
         return logits.softmax(dim=-3) if self.decision is None else self.decision.probabilities(logits)
+
+    def detections(self, colour: NDArray[np.uint8]) -> Detections:
+        """Objects in an image `(h, w, 3)`, the most certain first.
+
+        Raises:
+            ArgumentError: the model is no detector.
+            InputError: the network would see too many pixels.
+        """
+        import torch
+
+        from pepperscene.learning.models.detector import find_objects
+
+        self.check_task("detect")
+        self.module.eval()
+        with torch.inference_mode():
+            image = self._network_input(colour)
+            if image.shape[-2] * image.shape[-1] > _MOST_DETECTED:
+                problem = f"has more than {_MOST_DETECTED:,} pixels; train the detector with a --width"
+                raise InputError("image", problem)
+            found = find_objects(self.module(image), image.shape[-2:])
+        arrays = (tensor.cpu().numpy() for tensor in found)
+        return Detections.of_network(*arrays, seen=tuple(image.shape[-2:]), size=colour.shape[:2])
+
+    def check_task(self, task: str) -> None:
+        """Raise `ArgumentError` if the model was trained for another task."""
+        if self.task != task:
+            raise ArgumentError("model", f"was trained for the task {self.task}, not {task}")
+
+    def _network_input(self, colour: NDArray[np.uint8]) -> torch.Tensor:
+        """What the network sees of an image: `(1, 3, h, w)`, 0 to 1, at its width."""
+        import torch
+
+        device = next(self.module.parameters()).device
+        image = torch.from_numpy(np.array(colour)).to(device).permute(2, 0, 1)[None].float() / 255
+        return _scaled(image, self.width)
 
     def to(self, device: str) -> Self:
         """The same network on another device."""
@@ -125,6 +179,7 @@ class TrainedModel:
             "version": __version__,
             "decision": self._describe_decision(),
             "training": dict(self.training),
+            **({} if self.task == "segment" else {"task": self.task}),
         }
 
     def _describe_decision(self) -> dict[str, Any] | None:
@@ -140,6 +195,15 @@ def require_torch() -> None:
     for name in ("torch", "safetensors"):
         if find_spec(name) is None:
             raise SetupError(f"{name} is not installed; install it with `pip install 'pepperscene[learn]'`")
+
+
+def build_network(task: str, model: str, classes: int, *, allow_code: bool = False) -> nn.Module:
+    """A network with random weights for a task; see `build_model` for the rest."""
+    if task == "detect":
+        from pepperscene.learning.models.detector import Detector
+
+        return Detector(model, classes)
+    return build_model(model, classes, allow_code=allow_code)
 
 
 def apply_model(module: nn.Module, images: torch.Tensor) -> torch.Tensor:
@@ -186,7 +250,8 @@ def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool
     tensors, description = read_weights(file, FORMAT)
     description = check_description(file, description, ModelDescription)
     try:
-        classes = ClassTable.parse(description["classes"])
+        task = description["task"]
+        classes = parse_classes(task, description["classes"])
         width, training = description["width"], description["training"]
         recorded = without_initial_weights(description["model"])
     except ArgumentError as error:
@@ -197,14 +262,15 @@ def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool
     try:
         # Random weights are replaced; torch's generator stays as it is.
         with torch.random.fork_rng(devices=[]):
-            module = build_model(model, len(classes), allow_code=allow_code and not is_built_in(recorded))
+            allowed = allow_code and not is_built_in(recorded)
+            module = build_network(task, model, len(classes), allow_code=allowed)
     except ArgumentError as error:
         if model == factory:
             raise
         raise InputError(file, error.problem, key=error.where) from None
     fill_module(module, tensors, file)
     decision = _read_decision(description["decision"], len(classes), file)
-    return TrainedModel(module, model, classes, width, training, decision)
+    return TrainedModel(module, model, classes, width, training, decision, task)
 
 
 def _read_decision(content: DecisionDescription | None, count: int, file: Path) -> Decision | None:

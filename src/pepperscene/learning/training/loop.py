@@ -24,14 +24,16 @@ from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.document import parse_json
 from pepperscene.errors import ArgumentError, InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.evaluation.detection import evaluate_detector
 from pepperscene.learning.evaluation.evaluate import predict_classes, sampled_probabilities
 from pepperscene.learning.evaluation.measures import confusion_matrix, mean_intersection_over_union
 from pepperscene.learning.models.decision import Decision, fit_factors, fit_temperature
-from pepperscene.learning.models.registry import build_model, without_initial_weights
-from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model
-from pepperscene.learning.options import TrainingOptions, TrainingProgress
+from pepperscene.learning.models.registry import without_initial_weights
+from pepperscene.learning.models.trained_model import MODEL_FILE, TrainedModel, apply_model, build_network
+from pepperscene.learning.options import MEASURES, TrainingOptions, TrainingProgress
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
 from pepperscene.learning.training.colour_matching import ColourMatching
+from pepperscene.learning.training.detection_loss import DetectionLoss
 from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
 from pepperscene.review.report.data import evenly_spaced
 from pepperscene.user_files import read_file
@@ -153,18 +155,22 @@ class TrainingLoop:
         self.options, self.labels, self.record = options, labels, record
         self.device = _find_device(options.device)
         classes = labels if origin is None else origin.classes
-        module = build_model(options.model, len(classes), allow_code=options.allow_code)
+        module = build_network(options.task, options.model, len(classes), allow_code=options.allow_code)
         if origin is not None:
             module.load_state_dict(origin.module.state_dict())
         module.to(self.device, memory_format=torch.channels_last)
         model = without_initial_weights(options.model)
-        frequencies = class_frequencies(sets, labels)
-        weights = class_weights(frequencies, options.balance or 0.0)
-        decision = _decision(
-            labels, classes, weights, frequencies, None if origin is None else origin.decision
-        )
-        self.trained = TrainedModel(module, model, classes, options.width, record, decision)
-        self.loss = SegmentationLoss(labels, classes, weights).to(self.device)
+        trained = TrainedModel(module, model, classes, options.width, record, task=options.task)
+        self.loss: nn.Module
+        if options.task == "detect":
+            self.trained, self.loss = trained, DetectionLoss(len(labels), options.least_area)
+        else:
+            frequencies = class_frequencies(sets, labels)
+            weights = class_weights(frequencies, options.balance or 0.0)
+            before = None if origin is None else origin.decision
+            decision = _decision(labels, classes, weights, frequencies, before)
+            self.trained = replace(trained, decision=decision)
+            self.loss = SegmentationLoss(labels, classes, weights).to(self.device)
         assert options.learning_rate is not None
         self.optimiser = torch.optim.Adam(
             module.parameters(), lr=options.learning_rate, betas=_BETAS, eps=_EPSILON
@@ -193,16 +199,17 @@ class TrainingLoop:
         for step, batch in enumerate(self._batches(state.step), start=state.step + 1):
             losses.append(self._step(step, *batch))
             ends = step % options.validate == 0 or step == options.steps
-            mean_iou = None
+            quality = None
             if ends:
                 self.trained = replace(self.trained, decision=self._calibrated(validation or self.sets))
-                mean_iou = _known(self._validate(validation)) if validation else None
-                state = self._checkpoint(folder, step, state, mean_iou, float(np.mean(losses)))
+                quality = _known(self._validate(validation)) if validation else None
+                state = self._checkpoint(folder, step, state, quality, float(np.mean(losses)))
             if on_progress is not None:
                 rate = (step - start) * options.batch / (time.monotonic() - begin)
                 left = (options.steps - step) * options.batch / rate
+                values = {MEASURES[options.task]: quality}
                 on_progress(
-                    TrainingProgress(step, options.steps, float(np.mean(losses)), rate, left, mean_iou)
+                    TrainingProgress(step, options.steps, float(np.mean(losses)), rate, left, **values)
                 )
             losses = [] if ends else losses
 
@@ -234,11 +241,8 @@ class TrainingLoop:
         with torch.autocast(
             self.device.type, torch.bfloat16, enabled=_uses_bfloat16(self.options, self.device)
         ):
-            logits = apply_model(module, inputs)
-        if logits.shape[1] != len(self.trained.classes):
-            problem = f"must return logits of {len(self.trained.classes)} classes, not {logits.shape[1]}"
-            raise ArgumentError("model", problem)
-        loss = self.loss(logits, labels.to(self.device).long())
+            outputs = module(inputs) if self.options.task == "detect" else self._logits(module, inputs)
+        loss = self.loss(outputs, labels.to(self.device).long())
         self.optimiser.zero_grad()
         loss.backward()
         self.optimiser.step()
@@ -247,24 +251,37 @@ class TrainingLoop:
             raise ArgumentError("learning_rate", f"is too high: the loss is {value} at step {step}")
         return value
 
+    def _logits(self, module: nn.Module, images: torch.Tensor) -> torch.Tensor:
+        logits = apply_model(module, images)
+        if logits.shape[1] != len(self.trained.classes):
+            problem = f"must return logits of {len(self.trained.classes)} classes, not {logits.shape[1]}"
+            raise ArgumentError("model", problem)
+        return logits
+
     def _checkpoint(
-        self, folder: Path, step: int, state: TrainingState, mean_iou: float | None, loss: float
+        self, folder: Path, step: int, state: TrainingState, quality: float | None, loss: float
     ) -> TrainingState:
         """Write the network if it is the best one, the log, and last the state that a resumption reads."""
         folder.mkdir(parents=True, exist_ok=True)
         best, best_step = state.best, state.best_step
         # Without a known quality so far, as without validation, the last state is the best one.
-        if best is None or (mean_iou is not None and mean_iou > best):
-            best, best_step = mean_iou, step
-            training = {**self.record, "step": step, "validation_mean_iou": mean_iou}
+        measure = MEASURES[self.options.task]
+        if best is None or (quality is not None and quality > best):
+            best, best_step = quality, step
+            training = {**self.record, "step": step, f"validation_{measure}": quality}
             replace(self.trained, training=training).save(folder / MODEL_FILE)
-        _append_log(folder / LOG_FILE, {"step": step, "loss": loss, "mean_iou": mean_iou})
+        _append_log(folder / LOG_FILE, {"step": step, "loss": loss, measure: quality})
         state = TrainingState(step, best, best_step, self.record)
         write_state(folder, self.trained.module, self.optimiser, state)
         return state
 
     def _validate(self, validation: Sequence[ImageSet]) -> float:
-        """Mean IoU over all images of the sets, in the classes of the labels; nan without labelled pixels."""
+        """Mean IoU over all images of the sets, in the classes of the labels; nan without labelled pixels.
+
+        Of a detector, the mean AP50 of its masks.
+        """
+        if self.options.task == "detect":
+            return evaluate_detector(self.trained, validation, classes=self.labels).mean_ap50
         merging = self.labels.merging(self.trained.classes)
         total = np.zeros((len(self.labels), len(self.labels)), np.int64)
         for colour, truth in self._labelled(validation):
@@ -272,10 +289,11 @@ class TrainingLoop:
             total += confusion_matrix(truth, prediction, len(self.labels))
         return float(mean_intersection_over_union(total))
 
-    def _calibrated(self, sets: Sequence[ImageSet]) -> Decision:
+    def _calibrated(self, sets: Sequence[ImageSet]) -> Decision | None:
         """The decision with the temperature and the factors that suit some images of the sets best."""
         decision = self.trained.decision
-        assert decision is not None
+        if decision is None:
+            return None
         plain = replace(self.trained, decision=None)
         logits, labels = [], []
         for colour, truth in self._labelled(sets, _CALIBRATED):
@@ -305,9 +323,9 @@ class TrainingLoop:
                 yield image.colour, self.labels.indices(image.classes)
 
 
-def _known(mean_iou: float) -> float | None:
+def _known(quality: float) -> float | None:
     """None for nan, which is neither better nor worse than another value, and which JSON does not have."""
-    return mean_iou if math.isfinite(mean_iou) else None
+    return quality if math.isfinite(quality) else None
 
 
 def _learning_rate(options: TrainingOptions, step: int) -> float:

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from pepperscene.atomic import check_can_create, sole_writer, visible_names, write_error
+from pepperscene.atomic import check_can_create, sole_writer, visible_names, write_error, write_file
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import ArgumentError, InputError, OutputError
-from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.model_card import CARD_FILE, model_card
 from pepperscene.learning.models.trained_model import (
     FORMAT,
     MODEL_FILE,
@@ -25,7 +25,7 @@ from pepperscene.learning.models.trained_model import (
     read_weights,
     require_torch,
 )
-from pepperscene.learning.options import TrainingOptions, TrainingProgress, is_built_in
+from pepperscene.learning.options import MEASURES, TrainingOptions, TrainingProgress, is_built_in
 from pepperscene.version import __version__
 
 
@@ -43,10 +43,11 @@ def train(
     """Train a network, and write it into a folder.
 
     The folder holds `model.safetensors` (the network, after the best validation or else the last step),
-    `state.safetensors` (all that a resumption needs) and `training.jsonl` (loss and validations). A training
-    that was killed and is resumed ends with the same bytes as one that was not, on the processor of the same
-    machine with the same number of threads: crops and dropout depend on the seed and the number of the step
-    alone. On a GPU the order of sums varies.
+    `state.safetensors` (all that a resumption needs), `training.jsonl` (loss and validations) and, at the
+    end, `model_card.md` (what the network is for, and how it was made). A training that was killed and is
+    resumed ends with the same bytes as one that was not, on the processor of the same machine with the same
+    number of threads: crops and dropout depend on the seed and the number of the step alone. On a GPU the
+    order of sums varies.
 
     Args:
         sets: labelled images, of one set or several. A set that occurs twice counts twice.
@@ -81,8 +82,12 @@ def train(
     if origin is not None:
         # The defaults are those of the model that is adapted.
         chosen = replace(chosen, model=origin.model, classes=chosen.classes or str(origin.classes))
+        if chosen.task != origin.task:
+            raise ArgumentError("start", f"was trained for the task {origin.task}, not {chosen.task}")
+        if chosen.task == "detect" and chosen.table().members != origin.classes.members:
+            raise ArgumentError("classes", f"must be those of the detector to start from, {origin.classes}")
     chosen = chosen.completed()
-    labels = ClassTable.parse(chosen.classes)
+    labels = chosen.table()
     _check_sets(sets, "sets")
     _check_sets(validation, "validation")
     matching = ColourMatching(match, chosen.matching) if match else None
@@ -90,7 +95,7 @@ def train(
     if match:
         record["match"] = [describe_images(images) for images in match]
     check_can_create(folder)
-    if validation:
+    if validation and chosen.task == "segment":
         # Raises an error if they have no pixel of the classes.
         class_frequencies(validation, labels)
     with sole_writer(folder), seeded(chosen.seed):
@@ -100,7 +105,9 @@ def train(
             training.run(folder, validation, on_progress)
         except OSError as error:
             raise write_error(error, folder) from None
-    return load(folder)
+        model = load(folder)
+        write_file(folder / CARD_FILE, model_card(model).encode())
+    return model
 
 
 def _own_factory(model: str) -> str | None:
@@ -144,7 +151,7 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
         # The training was killed at its first checkpoint, or its state was removed. It starts anew.
         file = folder / MODEL_FILE
         training = check_description(file, read_weights(file, FORMAT)[1], ModelDescription)["training"]
-        results = ("step", "validation_mean_iou")
+        results = ("step", *(f"validation_{measure}" for measure in MEASURES.values()))
         check_record(file, {key: training[key] for key in training if key not in results}, record)
 
 

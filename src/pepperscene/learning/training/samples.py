@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
+from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_steps import (
     ColourJitter,
@@ -22,6 +22,7 @@ from pepperscene.dataset.readers.torch_augment_steps import (
 )
 from pepperscene.errors import InputError, PepperError
 from pepperscene.learning.class_table import ClassTable
+from pepperscene.learning.objects import object_indices
 from pepperscene.learning.options import TrainingOptions
 from pepperscene.learning.training.colour_matching import ColourMatching
 
@@ -31,7 +32,8 @@ class TrainingSamples(torch.utils.data.Dataset):
     """All crops of a training by number: crop n is the same in every run with the same seed.
 
     Every image occurs once before one occurs again. A crop is a pair: image `(3, h, w)` uint8, and labels
-    `(h, w)` uint8, indices of the classes or 255.
+    `(h, w)` uint8, indices of the classes or 255. For a detector, labels are `(2, h, w)` int32: indices, with
+    the number of classes for pixels of none of them, and numbers of instances.
     """
 
     def __init__(
@@ -41,7 +43,9 @@ class TrainingSamples(torch.utils.data.Dataset):
         options: TrainingOptions,
         matching: ColourMatching | None = None,
     ) -> None:
-        self._sets = [images.select("colour", "classes") for images in sets]
+        self._detects = options.task == "detect"
+        fields = ("colour", "classes", "instances") if self._detects else ("colour", "classes")
+        self._sets = [images.select(*fields) for images in sets]
         self._images = [
             (which, position) for which, images in enumerate(sets) for position in range(len(images))
         ]
@@ -54,21 +58,34 @@ class TrainingSamples(torch.utils.data.Dataset):
         epoch, place = divmod(int(number), len(self._images))
         order = np.random.default_rng([self._seed, 0, epoch]).permutation(len(self._images))
         which, position = self._images[order[place]]
-        colour, labels = self._read(self._sets[which], position)
+        arrays = self._read(self._sets[which], position)
         if self._matching is not None:
-            colour = self._matching(colour, np.random.default_rng([self._seed, 2, int(number)]))
+            own = np.random.default_rng([self._seed, 2, int(number)])
+            arrays["image"] = self._matching(arrays["image"], own)
         # Random changes depend on the number alone, not on the worker that makes them.
         rng = np.random.default_rng([self._seed, 1, int(number)])
-        arrays = self._augmentation.apply({"image": colour, "mask": labels}, rng)
-        image = torch.from_numpy(np.ascontiguousarray(arrays["image"].transpose(2, 0, 1)))
-        return image, torch.from_numpy(np.ascontiguousarray(arrays["mask"]))
+        changed = self._augmentation.apply(arrays, rng)
+        image = torch.from_numpy(np.ascontiguousarray(changed["image"].transpose(2, 0, 1)))
+        labels = changed["mask"]
+        if self._detects:
+            labels = np.stack([labels, changed["instances"]]).astype(np.int32)
+        return image, torch.from_numpy(np.ascontiguousarray(labels))
 
-    def _read(self, images: ImageSet, position: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def _read(self, images: ImageSet, position: int) -> dict[str, NDArray[Any]]:
         image = images[position]
-        for name, array in (("colour image", image.colour), ("mask", image.classes)):
+        needed: dict[str, Any] = {"colour image": image.colour, "mask": image.classes}
+        if self._detects:
+            needed["image of instances"] = image.instances
+        for name, array in needed.items():
             if array is None:
                 raise InputError(images.name, f"{image.name} has no {name}, which training needs")
-        return _scaled(image, self._labels, self._width)
+        assert image.classes is not None
+        indices = object_indices if self._detects else ClassTable.indices
+        arrays: dict[str, Any] = {"image": image.colour, "mask": indices(self._labels, image.classes)}
+        if self._detects:
+            # Pillow takes other pixels of 16-bit images than of class images.
+            arrays["instances"] = np.asarray(image.instances, np.int32)
+        return _scaled(arrays, self._width)
 
 
 @final
@@ -119,16 +136,14 @@ def _augmentation(size: tuple[int, int], strength: float) -> Augmentation:
     return Augmentation((RandomFlip(), crop, jitter, blur, noise, RandomJpeg()))
 
 
-def _scaled(
-    image: LabelledImage, labels: ClassTable, width: int | None
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Colour and class indices at a width; labels are not interpolated."""
-    assert image.colour is not None
-    assert image.classes is not None
-    indices = labels.indices(image.classes)
-    if width is None or image.size[1] == width:
-        return image.colour, indices
-    size = (width, max(1, round(image.size[0] * width / image.size[1])))
-    colour = Image.fromarray(image.colour).resize(size, Image.Resampling.BILINEAR)
-    mask = Image.fromarray(indices).resize(size, Image.Resampling.NEAREST)
-    return np.asarray(colour), np.asarray(mask)
+def _scaled(arrays: dict[str, NDArray[Any]], width: int | None) -> dict[str, NDArray[Any]]:
+    """Arrays at a width; labels are not interpolated."""
+    height, own = arrays["image"].shape[:2]
+    if width is None or own == width:
+        return arrays
+    size = (width, max(1, round(height * width / own)))
+    filters = {"image": Image.Resampling.BILINEAR}
+    return {
+        key: np.asarray(Image.fromarray(array).resize(size, filters.get(key, Image.Resampling.NEAREST)))
+        for key, array in arrays.items()
+    }
