@@ -3,7 +3,7 @@
 pepperscene build season --out out/season --frames 0:40 --outputs colour
 python docs/figures/gallery.py out/season docs/images/gallery_season.jpg
 
-The data set of `randomised` has ten frames of each of twenty sets: `--set plan.sets=20 --set plan.frames=10`.
+The data set of `randomised` has drafts of eight frames of each of sixteen sets, as the page's command builds them.
 The sheet of cucumbers is from the frames that the page's command builds.
 """
 
