@@ -39,6 +39,28 @@ def test_camera_of_a_frame_has_its_metered_exposure(renderer):
     assert frame.metadata["auto_exposure"]["metering"] == "subject"
 
 
+def test_locked_exposure_is_that_of_the_first_view_in_any_order():
+    # Plants from five sides, the last view alone and after the first one.
+    changes = {**CHANGES, "plan.rotations": 1, "plan.frames": 5}
+    locked, own = (
+        load_recipe("barth2018", {**changes, "auto_exposure.lock": True}),
+        FrameRenderer(load_recipe("barth2018", changes)),
+    )
+    first, last = (locked.plan.frame(index) for index in (0, 4))
+    renderer = FrameRenderer(locked)
+    alone = renderer.render(last, ["colour"], "draft")
+    chosen = alone.metadata["auto_exposure"]
+    assert chosen["locked_in_frame"] == 0
+    metered = own.render(first, ["colour"], "draft")
+    assert chosen == {**metered.metadata["auto_exposure"], "locked_in_frame": 0}
+    assert alone.metadata["camera"]["exposure_s"] == chosen["exposure_s"]
+    assert chosen["exposure_s"] != own.camera(last, "draft").exposure_s
+    assert renderer.camera(last, "draft").exposure_s == chosen["exposure_s"]
+    again = FrameRenderer(locked)
+    assert np.array_equal(again.render(first, ["colour"], "draft")["colour"], metered["colour"])
+    assert np.array_equal(again.render(last, ["colour"], "draft")["colour"], alone["colour"])
+
+
 @pytest.mark.long
 def test_cameras_of_a_rig_and_of_an_open_scene_meter_their_own_subject():
     away = {"name": "away", "rotation_deg": [180.0, 0.0, 0.0]}

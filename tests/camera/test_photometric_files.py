@@ -79,6 +79,24 @@ def test_lamp_has_the_lumens_of_its_candela(tmp_path):
     assert load_lamp(tmp_path / "lamp.ies").flux_lm == pytest.approx(1500.0 * 2 * np.pi / 2.5, rel=3e-3)
 
 
+def test_uplight_is_dark_below(tmp_path):
+    """As LM-63 has it, angles begin at 90 degrees; the lumens are those of the closed form."""
+    rows = [
+        "IESNA:LM-63-2002",
+        "TILT=NONE",
+        "1 -1 1 3 1 1 2 0 0 0",
+        "1 1 50",
+        "90 135 180",
+        "0",
+        "500 500 500",
+    ]
+    (tmp_path / "up.ies").write_text("\n".join(rows))
+    lamp = load_lamp(tmp_path / "up.ies")
+    assert lamp.flux_lm == pytest.approx(2 * np.pi * 500.0, rel=1e-5)
+    found = lamp.beam.at(directions(30.0, np.array([0.0, 60.0, 89.9, 90.1, 120.0]))) * lamp.beam.flux
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.0, 500.0, 500.0], atol=1e-6)
+
+
 def test_lamp_of_one_plane_is_round(tmp_path):
     (tmp_path / "round.ies").write_text(ies_text(np.zeros(1)))
     beam = read_beam(tmp_path / "round.ies")
@@ -102,7 +120,7 @@ def test_files_that_are_cut_anywhere_are_one_sentence(tmp_path, name):
         (" 37 7 1 2 ", " 37 7 2 2 ", "type C"),
         (" 37 7 1 2 ", " 1e9 7 1 2 ", "whole numbers"),
         ("0.0000 5.0000", "0.0000 nan", "finite number"),
-        ("0.0000 5.0000", "9.0000 9.5000", "from the axis on"),
+        ("0.0000 5.0000", "9.0000 9.5000", "angles from 0"),
         ("0.0000 5.0000 10.0000", "0.0000 10.0000 5.0000", "must increase"),
         ("2.0 37", "-2.0 37", "at least 0"),
         ("2.0 37", "0 37", "some light"),

@@ -15,7 +15,8 @@ from PIL import Image
 
 from pepperscene import open_patches
 from pepperscene.building.execution.slurm import read_slurm_file
-from pepperscene.camera import Camera, load_filter, load_flash, load_lens, load_sensor
+from pepperscene.camera import Camera, load_filter, load_flash, load_lens, load_processor, load_sensor
+from pepperscene.camera.isp.processor_files import read_tone_curve
 from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.notation import Length
 from pepperscene.document import Document, read_toml, validate
@@ -142,6 +143,8 @@ READERS = {
         lambda path: SENSOR.with_filter(load_filter(path).transmittance),
     ),
     "cover.toml": (lambda: with_absolute_files("covers"), load_cover),
+    "isp.toml": (lambda: files(MATERIALS / "isps"), load_processor),
+    "tone.csv": (lambda: [b"light,code\n0,0\n0.1,0.4\n0.5,0.8\n1,1\n"], read_tone_curve),
     "provenance.toml": (
         lambda: files(MATERIALS / "light") + files(MATERIALS / "leaf"),
         read_provenance_beside,

@@ -69,6 +69,35 @@ def test_all_outputs_of_light_are_those_of_the_frame(scene, built):
     assert_equal(scene.render(outputs=ALL_LIGHT, quality="standard"), built(1, ALL_LIGHT, "standard"))
 
 
+def test_views_of_another_turn_have_the_room_of_that_frame():
+    """Lamps, cloth and chart of a turntable, in a scene that another frame has opened."""
+    recipe = ps.load_recipe(
+        "turntable",
+        {
+            "camera.width": 64, "camera.height": 48, "auto_exposure.lock": True, "plan.frames": 6,
+            "stand.turn_deg": 60, "override.stem.parts": 4,
+        },
+    )  # fmt: skip
+    outputs = ("colour", "instance", "distance")
+    frames, live = ps.FrameRenderer(recipe), ps.open_scene(recipe, 2)
+    spec = recipe.plan.frame(4)
+    expected, pose = frames.render(spec, outputs, "draft"), frames.camera(spec, traced=False).pose
+    seen = live.render(pose, outputs)
+    assert_equal(seen, expected)
+    assert seen.metadata["lamps"] == expected.metadata["lamps"]
+    assert_equal(live.render(pose, outputs[1:]), frames.render(spec, outputs[1:]))
+    # After an edit of the plant, here of a leaflet in view, the room is still where it was in that frame.
+    leaflets = [organ.instance for organ in live.organs if organ.kind == "leaflet"]
+    gone = max(leaflets, key=lambda number: (expected["instance"] == number).sum())
+    live.remove(gone)
+    edited = live.render(pose, outputs)
+    same = edited["instance"] == expected["instance"]
+    assert np.array_equal(~same, expected["instance"] == gone)
+    np.testing.assert_allclose(edited["distance"][same], expected["distance"][same], rtol=1e-5)
+    difference = edited["colour"][same].astype(float) - expected["colour"][same]
+    assert np.abs(difference).mean() < 3.0
+
+
 def test_poses_can_have_the_camera_axes_of_other_programs(scene):
     pose = ps.look_at((0.1, -0.6, 1.2), (0.0, 0.0, 1.3))
     expected = scene.render(pose)

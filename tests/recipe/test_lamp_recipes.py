@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pepperscene.camera import colour_transform
 from pepperscene.errors import InputError
 from pepperscene.recipe.resolve.load import resolve_recipe
 
@@ -72,9 +73,26 @@ def test_lamp_with_a_curve_of_a_user(tmp_path):
     assert lamp.flux_lm == pytest.approx(10.0)
 
 
+def test_white_balance_of_lamps_is_that_of_their_light_together(tmp_path):
+    """A white card in the light of lamps in the world and at the camera, by sums over spectra."""
+    text = '[developing]\nwhite_balance = "lamps"\n' + PANEL + "count = [2, 1]\nspacing_mm = [600, 0]\n"
+    text += PANEL.replace("led_panel_600mm", "hps_top_light_1000w") + 'fixed = "camera"\nflux_lm = 6000\n'
+    recipe = resolved(tmp_path, text)
+    nm = np.arange(300.0, 1100.0, 0.5)
+    light = sum(lamp.flux_W * lamp.unit_spectrum.at(nm) for lamp in (*recipe.lamps, *recipe.camera.lamps))
+    white = (recipe.camera.sensor.quantum_efficiency.at(nm) * nm * light).sum(axis=1)
+    gains, _ = colour_transform(recipe.camera)
+    np.testing.assert_allclose(gains * white / (gains * white).mean(), 1.0, rtol=2e-3)
+    # By their flux: in less light of the sodium lamp, blue needs a smaller gain.
+    bluer, _ = colour_transform(resolved(tmp_path, text.replace("6000", "600")).camera)
+    assert bluer[2] < 0.9 * gains[2]
+    assert recipe.camera.to_metadata()["developing"]["white_balance"] == "lamps"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ('[developing]\nwhite_balance = "lamps"\n', r"white_balance = 'lamps': needs \[\[lamps\]\]"),
         (PANEL.replace("100, 200", "nan, 200"), r"lamps\.0\.position_mm"),
         (PANEL.replace("100, 200", "inf, 200"), r"lamps\.0\.position_mm"),
         (PANEL + "count = [100, 100]\nspacing_mm = [1, 1]\n", "at most 1000 lamps, not 10000"),

@@ -59,6 +59,7 @@ class DiscRenderer(SceneStandIn):
         imager = noise.integers(0, 256, IMAGER_SHAPE).astype(np.uint8)
         images = {
             "colour": np.clip(grey, 0, 255).astype(np.uint8),
+            "photo": np.clip(grey, 0, 255).astype(np.uint8),
             "colour_stereo": np.clip(np.roll(grey, 5, 1), 0, 255).astype(np.uint8),
             "raw": noise.integers(0, 1024, (2 * HEIGHT, 2 * WIDTH)).astype(np.uint16),
             "electrons": np.maximum(grey, 0).astype(np.float32),

@@ -31,7 +31,9 @@ from pepperscene.camera.image.electrons import (
     stray_light_factor,
 )
 from pepperscene.camera.image.metered_image import SUBJECT_METERINGS, Metering, metering_camera
-from pepperscene.camera.lamps.lamp import Lamp, aimed_axes
+from pepperscene.camera.isp.processor import ImageProcessor
+from pepperscene.camera.isp.processor_files import load_processor
+from pepperscene.camera.lamps.lamp import Lamp, aimed_axes, lamp_spectrum
 from pepperscene.camera.lamps.lamp_files import load_lamp
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
 from pepperscene.camera.optics.flash import Flash, load_flash
@@ -65,6 +67,7 @@ __all__ = [
     "FisheyeDistortion",
     "Flash",
     "Ghost",
+    "ImageProcessor",
     "Lamp",
     "Lens",
     "MatchedDepth",
@@ -95,10 +98,12 @@ __all__ = [
     "expected_electrons",
     "grid_poses",
     "image_electrons",
+    "lamp_spectrum",
     "load_filter",
     "load_flash",
     "load_lamp",
     "load_lens",
+    "load_processor",
     "load_projector",
     "load_sensor",
     "look_at",

@@ -31,6 +31,7 @@ from pepperscene.camera.sensor.developing_steps import Developing
 from pepperscene.camera.sensor.rows import Shutter
 from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.errors import InputError
+from pepperscene.spectra import Spectrum
 
 _ROW_ACCURACY_PX: Final = 1e-9  # chosen: rounding of pixel coordinates is a thousandth of it
 _EXPOSURE_S: Final = 50e-6  # unless another one is given; it does not affect the geometry
@@ -59,6 +60,8 @@ class Camera:
         labels_per_row: with a rolling shutter and motion, whether ground truth and `project` follow the pose
             of each row at the middle of its own exposure, as the image does, or have `pose` in all rows.
         lamps: that move with the camera, in its axes.
+        lamp_light: relative spectrum of the light of all lamps, as of `lamp_spectrum`, for a white balance
+            that needs it.
 
     Focusing changes neither the field of view nor the light. A thin lens focused at d is (1 + m) f from the
     sensor with m = f / (d - f), and its working f-number is N (1 + m). At 4 mm and 40 cm, m is 1 %: the field
@@ -76,6 +79,7 @@ class Camera:
     motion: Motion | None = None
     labels_per_row: bool = True
     lamps: tuple[Lamp, ...] = ()
+    lamp_light: Spectrum | None = None
 
     def __post_init__(self) -> None:
         pose = np.array(self.pose, dtype=float)

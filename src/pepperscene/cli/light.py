@@ -28,6 +28,7 @@ def light(
     check_light_output(out, form)
     resolved = resolve_recipe(recipe, parse_changes(set or ()), seed)
     tables = light_tables(resolved, frame, options, echo_progress)
-    typer.echo(f"{tables.times.num_rows:,} times, {tables.organs.num_rows:,} rows of organs")
+    times = tables.times.num_rows
+    typer.echo(f"{times:,} time{'s' * (times != 1)}, {tables.organs.num_rows:,} rows of organs")
     for path in write_light(tables, out, form):
         typer.echo(path)

@@ -241,7 +241,7 @@ class ExperimentOptions:
                 "steps": "Steps on synthetic images. Default: the model's.",
                 "size": "Size of training crops in pixels.",
                 "width": "Width to which images are scaled; 0 keeps their own.",
-                "validate": "Steps between validations of experiment A.",
+                "validate": "Steps between validations of experiments A and B.",
                 "allow_code": "Allow the code of recipes and of --model module:factory to run.",
             },
         ),

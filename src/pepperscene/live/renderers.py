@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pepperscene.building.scenes.frame_renderer import AssembledScene, FrameRenderer
 from pepperscene.building.scenes.scene_builder import NearScene
+from pepperscene.building.scenes.turning import turn_of
 from pepperscene.camera import Camera
 from pepperscene.live.state import SceneState
 from pepperscene.materials import Surface
@@ -22,13 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StateRenderer:
-    """A renderer, its scene, and what that was made of: a state, and the first and last wavelength.
+    """A renderer, its scene, and what that was made of: the turn of the plant, a state, and wavelengths.
 
-    The state of the scene that builds render is None; the wavelengths are None for those of the recipe.
+    The state of the scene that builds render is None; the wavelengths, the first and the last, are None for
+    those of the recipe.
     """
 
     assembled: AssembledScene
     renderer: Renderer
+    turn_rad: float
     state: SceneState | None = None
     wavelengths: tuple[float, float] | None = None
 
@@ -38,7 +41,8 @@ class StateRenderers:
 
     Args:
         frames: of the recipe.
-        spec: the frame.
+        spec: the frame. On a turntable, lamps and what else stays in the room are where they are in this
+            frame, unless another one is given.
         near: the objects of its scene.
     """
 
@@ -55,38 +59,56 @@ class StateRenderers:
         other._optics = dict(self._optics)
         return other
 
-    def of_frames(self, *, traced: bool) -> StateRenderer:
+    def turn(self, spec: FrameSpec) -> float:
+        """Angle in radians by which a frame's plant has turned since the own frame."""
+        return self._turn(spec) - self._turn(self._spec)
+
+    def _turn(self, spec: FrameSpec) -> float:
+        return turn_of(spec, self._frames.setups.at(spec))
+
+    def of_frames(self, spec: FrameSpec | None = None, *, traced: bool) -> StateRenderer:
         """That of the scene that a build renders, with surfaces and light if it is `traced`."""
-        held = self._of_frames.get(True) or self._of_frames.get(traced)
-        if held is None:
-            optics = self._surfaces(None) if traced else None
-            assembled = self._frames.finish(self._spec, self._near, optics)
-            held = StateRenderer(assembled, Renderer(assembled.scene))
+        spec = spec or self._spec
+        held, turn_rad = self._of_frames.get(True) or self._of_frames.get(traced), self._turn(spec)
+        if held is None or held.turn_rad != turn_rad:
+            self._of_frames = {}
+            near = self._frames.grow(spec) if self.turn(spec) else self._near
+            assembled = self._frames.finish(spec, near, self._surfaces(None) if traced else None)
+            held = StateRenderer(assembled, Renderer(assembled.scene), turn_rad)
             self._of_frames = {traced: held}
         return held
 
-    def of(self, state: SceneState, camera: Camera | None = None, *, traced: bool = False) -> StateRenderer:
+    def of(
+        self,
+        state: SceneState,
+        camera: Camera | None = None,
+        spec: FrameSpec | None = None,
+        *,
+        traced: bool = False,
+    ) -> StateRenderer:
         """That of a state; if light is `traced`, for a camera, by default those of the recipe."""
-        nm = None
+        spec, nm = spec or self._spec, None
+        turn_rad = self._turn(spec)
         if traced and camera is not None:
             nm = surface_range([camera.sensor])
         held = self._held.get(traced)
-        if held is not None and held.state is state and held.wavelengths == nm:
+        if held is not None and (held.state, held.wavelengths, held.turn_rad) == (state, nm, turn_rad):
             return held
         # Release what is replaced before making the new one.
         self._held.pop(traced, None)
-        scene, triangles = Scene(state.mesh, skeleton=state.skeleton), len(state.mesh.faces)
+        shown = state.turned(self._near.built.staying, -self.turn(spec))
+        scene, triangles = Scene(shown.mesh, skeleton=state.skeleton), len(shown.mesh.faces)
         if traced:
             surfaces, sky = self._surfaces(nm)
             named = {**surfaces, **state.materials}
             scene = replace(scene, surfaces=tuple(named[name] for name in state.surfaces), sky=sky)
-            scene = replace(scene, lamps=self._frames.lamps(self._spec))
+            scene = replace(scene, lamps=self._frames.lamps(spec))
         statistics = {
             "contacts": asdict(self._near.built.contacts),
             "geometry": {"triangles": triangles, "of": triangles},
         }
-        renderer = Renderer(scene, state.geometry)
-        held = self._held[traced] = StateRenderer(AssembledScene(scene, statistics), renderer, state, nm)
+        renderer, assembled = Renderer(scene, shown.geometry), AssembledScene(scene, statistics)
+        held = self._held[traced] = StateRenderer(assembled, renderer, turn_rad, state, nm)
         return held
 
     def _surfaces(self, nm: tuple[float, float] | None) -> tuple[dict[str, Surface], Sky | None]:

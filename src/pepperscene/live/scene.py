@@ -87,7 +87,8 @@ class LiveScene:
 
     Instances are given by their numbers in instance images. They never change: what an edit removes keeps its
     number unused, and what it adds has new ones. Nothing of the scene is left out for the recipe's own views.
-    An error leaves the scene as it was.
+    An error leaves the scene as it was. On a turntable, lamps, backdrop and charts are where they are in the
+    frame; a view at the pose of another frame has them as that frame.
 
     Seeds: a view at a pose of the data set has the seed of that frame, so that it is that frame, bit by bit.
     Every other view has a seed of its own, from the recipe's seed, the frame and `view_count`, which counts
@@ -170,13 +171,13 @@ class LiveScene:
         held, state, traced = None, self._state, needs_surfaces(outputs)
         if setup.is_frame and not self._edited:
             # Light in a scene that is culled for the data set differs by less than can be seen, but differs.
-            if traced or self._frames.views.depends_on_scene:
-                held = self._renderers.of_frames(traced=traced)
+            if traced or self._frames.views.depends_on_scene or self._renderers.turn(setup.spec):
+                held = self._renderers.of_frames(setup.spec, traced=traced)
             else:
                 held = self._renderers.of(self._opened)
         if held is None:
             state = self._with_near_plants(setup)
-            held = self._renderers.of(state, setup.camera, traced=traced)
+            held = self._renderers.of(state, setup.camera, setup.spec, traced=traced)
         if setup.camera is None:
             frame = self._frames.render_view(
                 setup.spec, held.assembled, held.renderer, outputs, quality, view=setup.view, seed=setup.seed
@@ -225,7 +226,7 @@ class LiveScene:
     @property
     def fruit(self) -> SceneList[SceneFruit]:
         """The fruit of the scene, with what a harvest robot needs to know of each."""
-        held = self._renderers.of(self._state)
+        held = self._renderers.of(self._state, spec=None if self._last is None else self._last.spec)
         visible = None
         if self._last is not None:
             frame = held.renderer.render(self._setups.camera(self._last), ("harvest",))

@@ -26,7 +26,7 @@ from pepperscene.materials import Surface
 from pepperscene.render.aov.harvest import find_fruit_stalk, organ_ancestors
 from pepperscene.render.arrays import LocalCoordinates, local_coordinates
 from pepperscene.render.kernel.split_scene import SplitScene, join_parts
-from pepperscene.scene import FarRow, Skeleton, far_row_meshes
+from pepperscene.scene import FarRow, Skeleton, far_row_meshes, turned_parts
 from pepperscene.scene.far_rows import MAX_INSTANCES, coarse_plant_faces
 from pepperscene.scene.greenhouse import FarRowsAs
 
@@ -217,6 +217,13 @@ class SceneState:
             return replace(state, objects={**self.objects, index: motion @ self.objects[index]})
         skeleton = replace(state.skeleton, edits=(*state.skeleton.edits, (index, motion)))
         return replace(state, skeleton=skeleton)
+
+    def turned(self, staying: int, angle_rad: float) -> SceneState:
+        """With what stays when a plant turns, the last instances of the scene as it was grown, turned."""
+        if not staying or not angle_rad:
+            return self
+        mesh = turned_parts(self.fixed.mesh, staying, angle_rad)
+        return replace(self, fixed=replace(self.fixed, mesh=mesh))
 
     def added(self, mesh: Mesh, pose: FloatArray, instance: Instance, surface: str | Surface) -> SceneState:
         """With an object at a pose; its number is that after the last instance.

@@ -147,6 +147,8 @@ class AutoExposureTable(Table):
         most_gain: highest gain. The lowest is `camera.gain`.
         metering: weights of the pixels: equal; more in the middle of the image; or only those of plants, with
             at most 0.3 % of them saturated; `highlights` has no target, but is as bright as that allows.
+        lock: whether only the first view is metered, and all others of its camera, plants and twin have its
+            exposure.
     """
 
     target_grey: Annotated[float, within(1, 250)] = 110.0
@@ -154,6 +156,7 @@ class AutoExposureTable(Table):
     exposure_s: tuple[Exposure, Exposure] = (10e-6, 10e-3)
     most_gain: Annotated[float, within(1, 1000)] = 4.0
     metering: Metering = "average"
+    lock: Switch = False
 
     def __post_init__(self) -> None:
         if self.exposure_s[0] > self.exposure_s[1]:
@@ -268,6 +271,11 @@ class DepthCameraTable(CameraTable):
     depth_unit_m: Annotated[float, within(0.001, 10), MILLIMETRES] = 0.001
     auto_exposure: AutoExposureTable = AutoExposureTable(exposure_s=(10e-6, 33e-3), most_gain=15.5)
     matching: StereoMatching = _MATCHING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.auto_exposure.lock:
+            raise ValueError("auto_exposure.lock must be false: depth cameras meter each frame")
 
     @property
     def extrinsics(self) -> NDArray[np.float64]:

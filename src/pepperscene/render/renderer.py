@@ -121,13 +121,14 @@ class Renderer:
         partners: Partners = _ALONE,
         *,
         sky: FrameSky = "scene",
-        exposure_control: ExposureControl | None = None,
+        exposure_control: ExposureControl | ChosenExposure | None = None,
     ) -> Frame:
         """Render one frame; see `render_scene` for the other arguments.
 
         `sky` replaces the sky of the scene, None removes it, and "scene" keeps it; the geometry stays on the
         device in all cases. With `exposure_control`, exposure time and gain are chosen
-        automatically for `camera`, and used for its stereo partner too; only where light is traced.
+        automatically for `camera`, unless it has them, and used for its stereo partner too; only where light
+        is traced.
 
         Raises:
             InputError: as `render_scene`; or the camera's gain is above the highest of `exposure_control`, or
@@ -143,9 +144,12 @@ class Renderer:
         described: dict[str, Any] = {}
         # Labels do not depend on the exposure, nor does the depth camera.
         if exposure_control is not None and _traced(requested) - DEPTH_CAMERA_OUTPUTS:
-            chosen = self.meter(camera, exposure_control, seed, sky, quality)
+            if isinstance(exposure_control, ChosenExposure):
+                chosen, target = exposure_control, {}
+            else:
+                chosen = self.meter(camera, exposure_control, seed, sky, quality)
+                target = {"target_grey": exposure_control.target_grey}
             camera, partners = with_exposure(camera, chosen), _with_exposure(partners, chosen)
-            target = {"target_grey": exposure_control.target_grey}
             described["auto_exposure"] = target | chosen.to_json()
 
         request = _Request(requested, camera, partners, quality, seed, self._under(sky))

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pepperscene.building.scenes.exposures import FrameExposures
 from pepperscene.building.scenes.optics import (
     SurfaceFactory,
     SurfacePreparation,
@@ -34,7 +35,7 @@ from pepperscene.recipe.resolve.load_camera import surface_range
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, Lamp
+    from pepperscene.camera import Camera, ChosenExposure, Lamp
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.recipe.views.fixed_views import View
@@ -120,6 +121,7 @@ class FrameRenderer:
         self._turntable = TurntableScenes()
         self._skies: dict[tuple[int, str, str], Sky | None] = {}
         self._surfaces = SurfaceFactory()
+        self._exposures = FrameExposures(self.frames_of_scene, self._meter)
 
     def render(self, spec: FrameSpec, outputs: Sequence[str], quality: str | Quality = "standard") -> Frame:
         """Render one frame.
@@ -132,7 +134,11 @@ class FrameRenderer:
         Raises:
             InputError: an output needs a stereo partner or a depth camera, and the recipe has none.
         """
-        held = self._scene_of(spec, self.setups.at(spec), needs_surfaces(outputs))
+        setup = self.setups.at(spec)
+        if any(OUTPUTS[name].traced for name in outputs):
+            # A locked exposure needs the scene of another frame, which is not held beside this one's.
+            self._exposures.at(spec, setup, quality)
+        held = self._scene_of(spec, setup, needs_surfaces(outputs))
         return self.render_view(spec, held.assembled, held.renderer, outputs, quality, light=held.light)
 
     def render_view(
@@ -162,7 +168,7 @@ class FrameRenderer:
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
         scene, visible = assembled.scene, renderer.visible_points
         partners = self.views.partners(spec, outputs, scene, visible, view)
-        control = setup.recipe.exposure_control if traced else None
+        exposure = self._exposures.at(spec, setup, quality) if traced else None
         frame_sky: Sky | Literal["scene"] | None = (
             self.sky(spec) if traced and light != (spec.set, setup.light, turn_of(spec, setup)) else "scene"
         )
@@ -174,9 +180,11 @@ class FrameRenderer:
             frame_seed(self.recipe.seed, spec.index) if seed is None else seed,
             partners=partners,
             sky=frame_sky,
-            exposure_control=None if control is None else control.control(),
+            exposure_control=None if exposure is None else exposure.locked or exposure.control,
         )
         described = {**frame.metadata, **assembled.statistics}
+        if exposure is not None and "auto_exposure" in described:
+            described["auto_exposure"] = exposure.to_metadata(described["auto_exposure"])
         if view is None:
             described |= turn_metadata(spec, setup)
         target = self.views.target(spec, assembled.scene) if view is None else None
@@ -196,19 +204,23 @@ class FrameRenderer:
                 labels do not depend on it, but with a moving camera that has a rolling shutter.
         """
         setup = self.setups.at(spec)
-        control = setup.recipe.exposure_control if traced else None
-        if control is None and not self.views.depends_on_scene:
+        exposure = self._exposures.at(spec, setup, quality) if traced else None
+        if exposure is None and not self.views.depends_on_scene:
             return self.views.camera(spec)
-        held = self._scene_of(spec, setup, traced=control is not None)
+        held = self._scene_of(spec, setup, traced=exposure is not None)
         camera = self.views.camera(spec, held.assembled.scene, held.renderer.visible_points)
-        if control is None:
+        if exposure is None:
             return camera
         from pepperscene.camera.image.auto_exposure import with_exposure
 
-        # As in the frame itself.
-        seed = frame_seed(self.recipe.seed, spec.index)
-        sky = self.sky(spec)
-        return with_exposure(camera, held.renderer.meter(camera, control.control(), seed, sky, quality))
+        return with_exposure(camera, exposure.locked or self._meter(spec, quality))
+
+    def _meter(self, spec: FrameSpec, quality: str | Quality) -> ChosenExposure:
+        """The exposure that a frame's own light gives it, as in the frame itself."""
+        setup = self.setups.at(spec)
+        held, seed = self._scene_of(spec, setup, traced=True), frame_seed(self.recipe.seed, spec.index)
+        camera = self.views.camera(spec, held.assembled.scene, held.renderer.visible_points)
+        return held.renderer.meter(camera, setup.recipe.metering.control(), seed, self.sky(spec), quality)
 
     def scene(self, spec: FrameSpec, *, traced: bool = True) -> Scene:
         """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""

@@ -26,7 +26,7 @@ class SceneRenderer(Protocol):
         *,
         partners: Partners = ...,
         sky: Sky | Literal["scene"] | None = ...,
-        exposure_control: ExposureControl | None = ...,
+        exposure_control: ExposureControl | ChosenExposure | None = ...,
     ) -> Frame:
         """Render one view; see `Renderer.render`."""
 

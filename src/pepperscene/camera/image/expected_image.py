@@ -31,14 +31,14 @@ _NOISE_SIDE: Final = 96  # pixels of an image of noise; chosen: its variance is 
 
 
 def expected_image(electrons: NDArray[np.floating], camera: Camera) -> Floats:
-    """`(h, w, c)` expected values of the developed image's pixels, as fractions of the largest code.
+    """`(..., c)` expected values of the developed image's pixels, as fractions of the largest code.
 
     They are the means over noise, rounding included, of what `develop` makes of an image of any size, all of
     whose pixels have the camera's photosites. One channel for a monochrome sensor; of a sensor with bands,
     the mean signal as a fraction of full scale, without a tone curve.
 
     Args:
-        electrons: `(h, w, c)` mean electrons of a photosite of each colour; values below 0 count as 0.
+        electrons: `(..., c)` mean electrons of a photosite of each colour; values below 0 count as 0.
         camera: its sensor and developing; its exposure has no effect.
 
     Raises:
@@ -91,7 +91,7 @@ def _density(z: Floats) -> Floats:
 
 
 def _deviation(mean: Floats, variance: Floats, camera: Camera) -> Floats:
-    """`(h, w, c)` standard deviation of pixels in linear sRGB, from the variance of single photosites."""
+    """`(..., c)` standard deviation of pixels in linear sRGB, from the variance of single photosites."""
     sensor, developing = camera.sensor, camera.developing
     shared = _noise_of_pixels(sensor.pattern, sensor.binning, sensor.reduction, developing.demosaic)
     if sensor.pattern == "mono":

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -107,7 +107,7 @@ def image_meter(
     fine = _read_image(camera, daylight, flash, weights, counts)
     size = small.sensor.pixel_pitch_m / camera.sensor.pixel_pitch_m
     if size <= 1.0 or min(rows, columns) < 2:
-        return fine
+        return cache(fine)
     if subject is not None:
         subject = _half_resolution(subject[..., None])[..., 0]
     weights = _weights(rows // 2, columns // 2, metering, subject)
@@ -118,7 +118,8 @@ def image_meter(
         pairs = zip(fine(exposure_s, gain, factor), coarse(exposure_s, gain, factor), strict=True)
         return Reading(*(max(one - (size - 1.0) / size * (other - one), 0.0) for one, other in pairs))
 
-    return read
+    # Limits of exposure and gain, and what is found, are read again.
+    return cache(read)
 
 
 def _half_resolution(image: Floats) -> Floats:
@@ -135,6 +136,9 @@ def _read_image(
     rows, columns, _ = daylight.shape
     small = metering_camera(camera, (columns, rows))
     pulse_s = 0.0 if camera.flash is None else camera.flash.pulse_s
+    # Pixels without weight, which are most of those of a small subject, need no codes.
+    used = slice(None) if weights.all() else weights > 0
+    weights = weights[used]
 
     def read(exposure_s: float, gain: float, factor: float) -> Reading:
         flashed = flash * min(pulse_s, exposure_s)
@@ -144,7 +148,7 @@ def _read_image(
         if _has_flash_fractions(camera) and camera.developing.stray_light:
             electrons = np.asarray(add_stray_light(electrons, small), float)
         sensor = camera.sensor if gain == camera.sensor.gain else camera.sensor.with_settings(gain=gain)
-        codes = expected_image(factor * electrons, dataclasses.replace(camera, sensor=sensor))
+        codes = expected_image(factor * electrons[used], dataclasses.replace(camera, sensor=sensor))
         grey = 255.0 * float((weights[..., None] * codes).sum(dtype=np.float64)) / codes.shape[-1]
         is_saturated = counts_saturated and codes.max(axis=-1) >= _SATURATED
         return Reading(grey, float((weights * is_saturated).sum()))

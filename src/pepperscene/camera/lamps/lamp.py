@@ -236,6 +236,18 @@ class Lamp:
         return described if self.pulse_s is None else {**described, "pulse_s": float(self.pulse_s)}
 
 
+def lamp_spectrum(lamps: Iterable[Lamp], exposure_s: float) -> Spectrum | None:
+    """Relative spectrum of the light of some lamps together, by their flux; None without lamps.
+
+    Lamps that flash count by the part of an exposure in which they shine.
+    """
+    parts = [(lamp.unit_spectrum, lamp.flux_W * lamp.duty(exposure_s)) for lamp in lamps]
+    if not parts:
+        return None
+    nm = np.unique(np.concatenate([spectrum.wavelength_nm for spectrum, _ in parts]))
+    return Spectrum(nm, np.sum([power * spectrum.at(nm) for spectrum, power in parts], axis=0))
+
+
 def lamps_seen_from(lamps: Iterable[Lamp], extrinsics: ArrayLike) -> tuple[Lamp, ...]:
     """The lamps of a camera in the axes of another one; `extrinsics` `(4, 4)` lead from those to its own."""
     inverse = np.linalg.inv(np.asarray(extrinsics, float))

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 ENDINGS: Final = (".ies", ".ldt")
 _MOST_VALUES: Final = 200_000  # candela values; chosen: files of goniophotometers have up to 73 x 361
 _HEADER: Final = 13  # numbers of an IES file before the angles
+_STEP: Final = 1e-6  # degrees, of a step from dark to light; chosen: far below those of goniophotometers
 _NUMBER: Final = re.compile(r"[\s,]+")
 # Lines of a EULUMDAT file, from 0.
 _SYMMETRY, _PLANES, _ANGLES, _FACTOR, _LAMP_SETS = 2, 3, 5, 23, 25
@@ -109,8 +110,10 @@ def _read_ldt(text: str) -> tuple[Array, Array, Array]:
 
 def _full_turn(planes: Array, angles: Array, candela: Array) -> tuple[Array, Array, Array]:
     """The table over a full turn, in radians, from one over a quarter, a half, a full turn or one plane."""
+    if angles[0] == 90.0:  # of an uplight, whose file leaves out the dark half
+        angles, candela = np.append([0.0, 90.0 - _STEP], angles), np.pad(candela, ((0, 0), (2, 0)))
     if angles[0] != 0:
-        raise _FormatError(f"must have angles from the axis on, 0 degrees, not from {angles[0]:g}")
+        raise _FormatError(f"must have angles from 0 (the axis) or 90 degrees on, not from {angles[0]:g}")
     if planes.size == 1:
         return np.zeros(1), np.radians(angles), candela
     # A half turn may begin at 90 or 270 degrees; it is mirrored like one from 0, and then turned back.

@@ -9,10 +9,11 @@ from typing import Annotated, Any, Final, Literal, get_args
 import numpy as np
 from pydantic import BeforeValidator, PlainSerializer
 
+from pepperscene.camera.isp.processor import ImageProcessor
 from pepperscene.units import NONE, Switch, Table, single_message, within
 
 Demosaic = Literal["malvar", "menon", "bilinear"]
-Light = Literal["flash", "daylight"]
+Light = Literal["flash", "daylight", "lamps"]
 Tone = Literal["srgb", "linear"]
 GAIN_RANGE: Final = (0.01, 100.0)
 """Allowed white balance gains. Chosen: cameras need 1 to 4, and single precision is exact enough here."""
@@ -30,7 +31,7 @@ Pedestal = Annotated[float, within(0, LARGEST_PEDESTAL)] | Literal["auto"]
 
 
 _BALANCE: Final = single_message(
-    'must be "flash", "daylight", "none", or the gains of red, green and blue, each 0.01 to 100'
+    'must be "flash", "daylight", "lamps", "none", or the gains of red, green and blue, each 0.01 to 100'
 )
 _NAMED_NONE: Final = BeforeValidator(lambda value: None if value == NONE else value)
 _NONE_NAME: Final = PlainSerializer(lambda value: NONE if value is None else value)
@@ -50,7 +51,7 @@ class Developing(Table):
         quantise: rounding by the converter.
         demosaic: how colours are interpolated if every Bayer photosite is a pixel (binning 1).
         white_balance: the light under which a white diffuser is neutral, or the gains of red, green and blue,
-            each within `GAIN_RANGE`; None keeps the device's colour cast.
+            each within `GAIN_RANGE`; None keeps the device's colour cast. "lamps" is `Camera.lamp_light`.
         colour_matrix: from camera_rgb to linear sRGB. True fits it to the light of the white balance or, if
             that names none, to the flash or else daylight; False leaves it out; a `(3, 3)` matrix is applied
             to camera_rgb after the gains. Its rows need not sum to 1; entries are within +-100.
@@ -62,6 +63,7 @@ class Developing(Table):
             0.25; white stays white. Without it, clipping the noise of black makes it brighter, and most where
             noise is strongest, in red and blue. "auto" is `AUTO_PEDESTAL` standard deviations of the noisiest
             colour of black, which makes it neutral; 0 on a monochrome sensor.
+        isp: what an image signal processor does to the image, or None.
 
     Sequences and arrays of numbers become tuples of floats. White balance and colour matrix do not apply to
     monochrome sensors. With numbers for both, or without a matrix, no reference light is needed.
@@ -82,6 +84,7 @@ class Developing(Table):
     white_balance_error: Gains = (1.0, 1.0, 1.0)
     stray_light: Switch = False
     pedestal: Annotated[Pedestal, _PEDESTAL] = 0.0
+    isp: ImageProcessor | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "white_balance_error", _gains(self.white_balance_error, "error"))
@@ -93,8 +96,8 @@ class Developing(Table):
 
     def to_metadata(self) -> dict[str, Any]:
         """JSON-ready description; later steps only if they are used."""
-        steps = dataclasses.asdict(self)
-        unused = {"white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0}
+        steps = dataclasses.asdict(self) | {"isp": self.isp and self.isp.to_metadata()}
+        unused = {"white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0, "isp": None}
         return {name: value for name, value in steps.items() if name not in unused or value != unused[name]}
 
 
@@ -104,7 +107,7 @@ def _white_balance(value: object) -> WhiteBalance:
         for light in get_args(Light):
             if value == light:
                 return light
-        raise ValueError(f'white balance must be "flash", "daylight", gains or None, not {value!r}')
+        raise ValueError(f'white balance must be "flash", "daylight", "lamps", gains or None, not {value!r}')
     return _gains(value, "gains")
 
 

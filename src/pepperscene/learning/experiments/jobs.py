@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -99,8 +99,8 @@ def schedule_jobs(
     jobs: list[NetworkJob] = []
     classes = ClassTable.parse(options.classes)
     for seed in range(1, options.seeds + 1):
-        synthetic = _synthetic_job(sets, options, classes, seed)
-        jobs.append(synthetic)
+        synthetic = _synthetic_jobs(sets, options, classes, seed)
+        jobs += synthetic
         start = other if isinstance(other, Path) else None
         if isinstance(other, ImageSet):
             unrelated = NetworkJob(
@@ -113,30 +113,38 @@ def schedule_jobs(
             if other is not None:
                 origin = start or unrelated.name
                 jobs.append(_real_job("D", sets, classes, seed, fold, fine, origin))
-            jobs.append(_real_job("E", sets, classes, seed, fold, fine, synthetic.name))
+            jobs.append(_real_job("E", sets, classes, seed, fold, fine, synthetic[-1].name))
     return tuple(jobs)
 
 
-def _synthetic_job(
+def _synthetic_jobs(
     sets: ExperimentSets, options: ExperimentOptions, classes: ClassTable, seed: int
-) -> NetworkJob:
-    """The network of A and B, which is tested on synthetic images and on all photographs that test."""
+) -> list[NetworkJob]:
+    """The networks of A, in all eight classes, and of B, in those of photographs; one if they are equal."""
     synthetic = tuple(item.part("test") for item in sets.synthetic)
     tested = sorted(position for fold in sets.folds for position in fold.test)
-    tests = [NetworkTest("A", synthetic)]
-    if classes.members != ClassTable.organs().members:
-        tests.append(NetworkTest(MERGED, synthetic, classes))
-    tests.append(NetworkTest("B", (sets.real.take(tested),), classes))
-    return NetworkJob(
-        f"seed{seed}_A",
-        "A",
-        seed,
-        None,
-        options.synthetic(seed),
-        tuple(item.part("train") for item in sets.synthetic),
-        tuple(item.part("validation") for item in sets.synthetic),
-        tests=tuple(tests),
-    )
+    on_real = NetworkTest("B", (sets.real.take(tested),), classes)
+    training = options.synthetic(seed)
+
+    def job(experiment: str, trained: TrainingOptions, *tests: NetworkTest) -> NetworkJob:
+        return NetworkJob(
+            f"seed{seed}_{experiment}",
+            experiment,
+            seed,
+            None,
+            trained,
+            tuple(item.part("train") for item in sets.synthetic),
+            tuple(item.part("validation") for item in sets.synthetic),
+            tests=tests,
+        )
+
+    if classes.members == ClassTable.organs().members:
+        return [job("A", training, NetworkTest("A", synthetic), on_real)]
+    merged = replace(training, classes=options.classes)
+    return [
+        job("A", training, NetworkTest("A", synthetic)),
+        job("B", merged, NetworkTest(MERGED, synthetic, classes), on_real),
+    ]
 
 
 def _real_job(

@@ -35,6 +35,7 @@ from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, 
 from pepperscene.learning.training.colour_matching import ColourMatching
 from pepperscene.learning.training.detection_loss import DetectionLoss
 from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
+from pepperscene.review.report.data import evenly_spaced
 from pepperscene.user_files import read_file
 
 LOG_FILE: Final = "training.jsonl"
@@ -52,6 +53,9 @@ percent."""
 _MOST_WEIGHT: Final = 30.0
 """Of a class, times that of the most frequent one. Chosen: a class of a few pixels must not drown the
 others."""
+
+_CALIBRATED: Final = 32
+"""Images in which temperature and factors are fitted. Chosen: some hundred sampled pixels of rare classes."""
 
 _LEAST_PROBABILITY: Final = 1e-12  # chosen: of a class of which the network is certain that it is not there
 
@@ -171,6 +175,7 @@ class TrainingLoop:
         self.optimiser = torch.optim.Adam(
             module.parameters(), lr=options.learning_rate, betas=_BETAS, eps=_EPSILON
         )
+        self.sets = tuple(sets)
         self.samples = TrainingSamples(sets, labels, options, matching)
 
     def run(
@@ -196,9 +201,8 @@ class TrainingLoop:
             ends = step % options.validate == 0 or step == options.steps
             quality = None
             if ends:
-                if validation:
-                    self.trained = replace(self.trained, decision=self._calibrated(validation))
-                    quality = _known(self._validate(validation))
+                self.trained = replace(self.trained, decision=self._calibrated(validation or self.sets))
+                quality = _known(self._validate(validation)) if validation else None
                 state = self._checkpoint(folder, step, state, quality, float(np.mean(losses)))
             if on_progress is not None:
                 rate = (step - start) * options.batch / (time.monotonic() - begin)
@@ -285,14 +289,14 @@ class TrainingLoop:
             total += confusion_matrix(truth, prediction, len(self.labels))
         return float(mean_intersection_over_union(total))
 
-    def _calibrated(self, validation: Sequence[ImageSet]) -> Decision | None:
-        """The decision with the temperature and the factors that suit images best; as it is without any."""
+    def _calibrated(self, sets: Sequence[ImageSet]) -> Decision | None:
+        """The decision with the temperature and the factors that suit some images of the sets best."""
         decision = self.trained.decision
         if decision is None:
             return None
         plain = replace(self.trained, decision=None)
         logits, labels = [], []
-        for colour, truth in self._labelled(validation):
+        for colour, truth in self._labelled(sets, _CALIBRATED):
             for part, probabilities in sampled_probabilities(plain, colour):
                 known = truth[part] != IGNORE_CLASS
                 logits.append(np.log(np.maximum(probabilities[:, known], _LEAST_PROBABILITY)).T)
@@ -306,10 +310,14 @@ class TrainingLoop:
         factors = np.where(merging.any(axis=0), merging.T @ fit_factors(merged, truths), 1.0)
         return replace(decision, factors=tuple(factors.tolist()))
 
-    def _labelled(self, sets: Sequence[ImageSet]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-        """Colour and class indices of the images of sets."""
+    def _labelled(
+        self, sets: Sequence[ImageSet], most: int | None = None
+    ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+        """Colour and class indices of the images of sets, or of at most so many, evenly spaced."""
         for images in sets:
-            for image in images.select("colour", "classes"):
+            number = len(images) if most is None else -(-most // len(sets))
+            positions = evenly_spaced(len(images), number)
+            for image in images.select("colour", "classes").take(positions):
                 if image.colour is None or image.classes is None:
                     raise InputError(images.name, f"{image.name} has no colour image or no mask")
                 yield image.colour, self.labels.indices(image.classes)

@@ -20,7 +20,15 @@ from pepperscene.recipe.views_tables import ArcViews, PathViews, PoseViews
 from pepperscene.units import NONE, file_values
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, DepthCamera, Lens, Projector, Sensor, WhiteReference
+    from pepperscene.camera import (
+        Camera,
+        DepthCamera,
+        ImageProcessor,
+        Lens,
+        Projector,
+        Sensor,
+        WhiteReference,
+    )
     from pepperscene.camera.optics.calibration import CameraCalibration
 
 # Of the surfaces' spectra. The step is chosen: it resolves the red edge and the pigments' bands, 20 nm wide
@@ -42,7 +50,7 @@ _TRANSMITTANCE: Final = 0.9
 
 def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> Camera:
     """Load the camera with the recipe's settings, without a pose; arguments and errors as in `load_files`."""
-    from pepperscene.camera import Camera, load_flash
+    from pepperscene.camera import Camera, lamp_spectrum, load_flash
 
     where, table, files = where or recipe.name, recipe.camera, files or NamedFiles()
     calibration = _read_calibration(table, where, files)
@@ -63,13 +71,23 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
     if developing.white_balance == "flash" and flash is None and sensor.channels > 1:
         problem = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
         raise InputError(where, problem, key="camera.flash", value=NONE)
+    is_balanced = developing.white_balance == "lamps" and sensor.channels > 1
+    if is_balanced and not recipe.lamps:
+        problem = f'needs [[lamps]]; without, it is "daylight", "flash", "{NONE}" or three gains'
+        raise InputError(where, problem, key="developing.white_balance", value="lamps")
+    lamps = load_lamps(recipe, "camera", where, files)
+    exposure_s = _TYPICAL_EXPOSURE_S if table.exposure_s == AUTO else table.exposure_s
+    all_lamps = (*lamps, *load_lamps(recipe, "world", where, files)) if is_balanced else ()
+    if developing.isp is not None:
+        developing = replace(developing, isp=_load_processor(developing.isp, where, sensor, files))
     try:
         return Camera(
             lens=lens,
             sensor=sensor,
-            exposure_s=_TYPICAL_EXPOSURE_S if table.exposure_s == AUTO else table.exposure_s,
+            exposure_s=exposure_s,
             flash=flash,
-            lamps=load_lamps(recipe, "camera", where, files),
+            lamps=lamps,
+            lamp_light=lamp_spectrum(all_lamps, exposure_s),
             developing=developing,
             focus_m=table.focus_m,
             labels_per_row=table.labels_per_row is not False,
@@ -80,6 +98,25 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
             raise
         key = "distortion" if error.key == "distortion" and table.distortion else table.lens_key
         raise InputError(where, error.problem, key=f"camera.{key}", value=getattr(table, key)) from None
+
+
+def _load_processor(
+    processor: ImageProcessor, where: str | Path, sensor: Sensor, files: NamedFiles
+) -> ImageProcessor:
+    """The image signal processor with the values of its preset, and its tone curve read."""
+    from pepperscene.camera.isp.processor import TONE_CURVES
+    from pepperscene.camera.isp.processor_files import load_processor, read_tone_curve
+
+    key = "developing.isp"
+    if sensor.pattern == "bands":
+        raise InputError(where, f"must be left out: {sensor.name} has bands, and so no colour image", key=key)
+    if isinstance(name := processor.tone_curve, str) and name not in TONE_CURVES:
+        points = files.load(read_tone_curve, where, f"{key}.tone_curve", name)
+        processor = replace(processor, tone_curve=points)
+    if processor.preset is None:
+        return processor
+    preset = files.load(load_processor, where, f"{key}.preset", processor.preset)
+    return replace(processor.completed(preset), preset=Path(processor.preset).stem)
 
 
 def _check_line_scan(recipe: Recipe, where: str | Path, sensor: Sensor) -> None:

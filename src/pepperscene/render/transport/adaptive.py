@@ -119,7 +119,8 @@ def _lift(camera: Camera) -> np.float32:
 
 def makes_images(camera: Camera) -> bool:
     """Whether there is a white balance; otherwise the camera gives electrons and no images."""
-    return camera.developing.white_balance != "flash" or camera.flash is not None
+    light = {"flash": camera.flash, "lamps": camera.lamp_light}
+    return light.get(str(camera.developing.white_balance), camera) is not None
 
 
 def _tone_slope(linear: Floats, tone: str) -> Floats:

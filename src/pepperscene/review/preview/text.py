@@ -104,7 +104,7 @@ def _camera_text(camera: CameraSummary) -> str:
         exposure = (
             f"automatic exposure {'' if control['metering'] == 'highlights' else aim}"
             f"{shortest:g} to {longest:g} µs, gain up to {control['most_gain']:g}, "
-            f"metering {control['metering']}"
+            f"metering {control['metering']}{', locked' if control['lock'] else ''}"
         )
     varied = "; typical values of those that vary" if camera.varied else ""
     return (
