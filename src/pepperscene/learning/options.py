@@ -234,7 +234,7 @@ class ExperimentOptions:
     training: Annotated[
         TrainingOptions,
         NestedOptions(
-            omitted=("task", "classes", "schedule", "balance", "least_area", "seed"),
+            omitted=("task", "classes", "schedule", "balance", "least_area", "seed", "matching"),
             names={"size": "crop"},
             help={
                 "model": "Model of the networks, as for `train`.",
