@@ -87,7 +87,8 @@ class HiddenCamera:
         gains = colour_correction(sensor, d65_spectrum()).gains
         camera = Camera(load_lens("lensagon_cmfa0420nd"), sensor, flash=None, developing=Developing(white_balance="daylight"))
         electrons = rgb / gains * sensor.full_well_e / self.gain
-        noisy = camera_rgb(electrons, camera, np.random.default_rng(seed)).astype(float)
+        rng = None if seed is None else np.random.default_rng(seed)
+        noisy = camera_rgb(electrons, camera, rng).astype(float)
         if self.noise_blur:
             noisy = gaussian_filter(noisy, (self.noise_blur, self.noise_blur, 0))
         linear = np.minimum(noisy * gains * self.balance, 1.0) @ (self.matrix @ np.diag(1 / np.array(self.balance))).T

@@ -54,26 +54,37 @@ class Sharpness:
 
 
 def chart_sharpness(
-    photograph: ChartPhotograph, linear: Floats, rng: np.random.Generator
+    photograph: ChartPhotograph, linear: Floats, rng: np.random.Generator | None = None
 ) -> Sharpness | None:
     """Sharpness by the edges of a chart; None if fewer than three are turned far enough against the pixels.
+
+    The line spread functions of all edges are averaged before they are transformed: the modulus of a noisy
+    transform is too large.
 
     Args:
         photograph: of a chart.
         linear: `(h, w, 3)` linear values of its picture.
-        rng: draws the resamples.
+        rng: draws resamples of the edges for the standard deviations; None leaves these 0.
     """
     luminance = linear @ _LUMA
-    curves = [edge_mtf(luminance, *line) for line in _outer_edges(photograph)]
-    mtf = np.array([curve for curve in curves if curve is not None])
-    if len(mtf) < 3:
+    edges = list(_outer_edges(photograph))
+    reach_px = min((reach for *_, reach in edges), default=0.0)
+    spreads = [spread for start, end, _ in edges if (spread := line_spread(luminance, start, end, reach_px)) is not None]
+    if len(spreads) < 3:
         return None
-    # A few edges can be spoiled by dirt or light reflected at the frame.
-    drawn = rng.integers(0, len(mtf), (_RESAMPLES, len(mtf)))
-    means = np.median(mtf[drawn], axis=1)
-    centre = np.median(mtf, axis=0)
-    spread = float(np.std([mtf50(mean) for mean in means], ddof=1))
-    return Sharpness(centre, means.std(axis=0, ddof=1), mtf50(centre), spread, len(mtf))
+    # Edges of high contrast have less noise, by the square of their contrast.
+    values, weights = np.array(spreads), np.array([spread.sum() ** 2 for spread in spreads])
+    values /= values.sum(axis=1, keepdims=True)
+    counts = np.ones((1, len(values)))
+    if rng is not None:
+        drawn = rng.multinomial(len(values), np.full(len(values), 1.0 / len(values)), _RESAMPLES)
+        counts = np.concatenate([counts, drawn])
+    shares = counts * weights
+    mtf = np.array([transfer(spread) for spread in shares @ values / shares.sum(axis=1, keepdims=True)])
+    if rng is None:
+        return Sharpness(mtf[0], np.zeros(len(FREQUENCIES)), mtf50(mtf[0]), 0.0, len(values))
+    spread_of_50 = float(np.std([mtf50(curve) for curve in mtf[1:]], ddof=1))
+    return Sharpness(mtf[0], mtf[1:].std(axis=0, ddof=1), mtf50(mtf[0]), spread_of_50, len(values))
 
 
 def mtf50(mtf: Floats) -> float:
@@ -86,8 +97,18 @@ def mtf50(mtf: Floats) -> float:
     return float(FREQUENCIES[last - 1] + share * (FREQUENCIES[last] - FREQUENCIES[last - 1]))
 
 
-def edge_mtf(luminance: Floats, start: Floats, end: Floats, reach_px: float) -> Floats | None:
-    """`(51,)` MTF at `FREQUENCIES` across an edge, or None if it cannot be measured.
+def transfer(spread: Floats) -> Floats:
+    """`(51,)` MTF at `FREQUENCIES` of a line spread function by `line_spread`."""
+    place = (np.arange(len(spread)) - (len(spread) - 1) / 2) * _BIN_PX
+    transform = np.abs(np.exp(-2j * np.pi * FREQUENCIES[:, None] * place) @ spread)
+    # Bins and differences blur by a box of a bin each.
+    return np.asarray(transform / transform[0] / np.sinc(FREQUENCIES * _BIN_PX) ** 2)
+
+
+def line_spread(luminance: Floats, start: Floats, end: Floats, reach_px: float) -> Floats | None:
+    """Line spread function across an edge in steps of a quarter of a pixel; None if it cannot be measured.
+
+    It runs from the left to the right of the direction from start to end, and its sum is the contrast.
 
     Args:
         luminance: `(h, w)` linear image.
@@ -114,7 +135,7 @@ def edge_mtf(luminance: Floats, start: Floats, end: Floats, reach_px: float) -> 
     if drift < _MIN_DRIFT_PX:
         return None
     # The refined line may be a pixel beside the first one, along which the pixels were chosen.
-    return _mtf_of_profile((places - start) @ normal, values, reach_px - 1.0)
+    return _binned_derivative((places - start) @ normal, values, reach_px - 1.0)
 
 
 def _pixels_around(
@@ -161,23 +182,19 @@ def _edge_line(
     return float(slope), float(offset)
 
 
-def _mtf_of_profile(distance: Floats, values: Floats, reach_px: float) -> Floats | None:
-    """`(51,)` MTF of values at distances from an edge."""
+def _binned_derivative(distance: Floats, values: Floats, reach_px: float) -> Floats | None:
+    """Windowed derivative of values at distances from an edge."""
     bins = int(reach_px / _BIN_PX)
     numbers = np.floor(distance / _BIN_PX).astype(int) + bins
     inside = (numbers >= 0) & (numbers < 2 * bins)
     counts = np.bincount(numbers[inside], minlength=2 * bins)
     if (counts == 0).any():
         return None
-    profile = np.bincount(numbers[inside], values[inside], 2 * bins) / counts
-    spread = np.diff(profile)
-    place = (np.arange(len(spread)) - (len(spread) - 1) / 2) * _BIN_PX
+    spread = np.diff(np.bincount(numbers[inside], values[inside], 2 * bins) / counts)
     # Tukey's window, flat over half of the reach, damps the noise far from the edge without a bias near it.
+    place = (np.arange(len(spread)) - (len(spread) - 1) / 2) * _BIN_PX
     outside = np.clip(2.0 * np.abs(place) / reach_px - 1.0, 0.0, 1.0)
-    spread = spread * (0.5 + 0.5 * np.cos(np.pi * outside))
-    transform = np.abs(np.exp(-2j * np.pi * FREQUENCIES[:, None] * place) @ spread)
-    # Bins and differences blur by a box of a bin each.
-    return np.asarray(transform / transform[0] / np.sinc(FREQUENCIES * _BIN_PX) ** 2)
+    return np.asarray(spread * (0.5 + 0.5 * np.cos(np.pi * outside)))
 
 
 def _outer_edges(photograph: ChartPhotograph) -> Iterator[tuple[Floats, Floats, float]]:
@@ -196,5 +213,7 @@ def _outer_edges(photograph: ChartPhotograph) -> Iterator[tuple[Floats, Floats, 
             start, end, out = map_points(points, grid_corners(), photograph.corners)
             direction = (end - start) / np.linalg.norm(end - start)
             outward = out - (start + end) / 2
-            distance = abs(float(outward @ np.array([-direction[1], direction[0]])))
-            yield start, end, min(distance, _REACH[1])
+            distance = float(outward @ np.array([-direction[1], direction[0]]))
+            # The frame is always on the same side.
+            ends = (start, end) if distance > 0.0 else (end, start)
+            yield *ends, min(abs(distance), _REACH[1])

@@ -62,6 +62,8 @@ class Developing(Table):
             0.25; white stays white. Without it, clipping the noise of black makes it brighter, and most where
             noise is strongest, in red and blue. "auto" is `AUTO_PEDESTAL` standard deviations of the noisiest
             colour of black, which makes it neutral; 0 on a monochrome sensor.
+        blur_px: standard deviation of a Gaussian by which lens and optical low-pass filter blur the light
+            before it is measured, besides focus and stray light.
 
     Sequences and arrays of numbers become tuples of floats. White balance and colour matrix do not apply to
     monochrome sensors. With numbers for both, or without a matrix, no reference light is needed.
@@ -82,6 +84,7 @@ class Developing(Table):
     white_balance_error: Gains = (1.0, 1.0, 1.0)
     stray_light: Switch = False
     pedestal: Annotated[Pedestal, _PEDESTAL] = 0.0
+    blur_px: Annotated[float, within(0, 20)] = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "white_balance_error", _gains(self.white_balance_error, "error"))
@@ -95,6 +98,7 @@ class Developing(Table):
         """JSON-ready description; later steps only if they are used."""
         steps = dataclasses.asdict(self)
         unused = {"white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0}
+        unused["blur_px"] = 0.0
         return {name: value for name, value in steps.items() if name not in unused or value != unused[name]}
 
 
