@@ -498,6 +498,15 @@ def own_spectrum() -> Image.Image:
     return image
 
 
+def isp() -> Image.Image:
+    """A view without an image signal processor, and by a webcam's, from the picture of the page."""
+    page = np.asarray(Image.open(IMAGES / "isp.jpg").convert("RGB"))
+    image = white()
+    for place, left in ((0, 250), (121, 864)):
+        image.paste(fill(page[150:380, left : left + 171], (119, HEIGHT)), (place, 0))
+    return image
+
+
 def chemistry() -> Image.Image:
     """Chlorophyll and leaf age, from the picture of the page."""
     page = np.asarray(Image.open(IMAGES / "chemistry.jpg").convert("RGB"))
@@ -1216,8 +1225,8 @@ def colour() -> Image.Image:
 
 PHOTOGRAPHS: Final = (
     quickstart, robot_data_set, gallery, fruit_segmenter, first_frame, dataset, bands_notebook, build, camera,
-    visibility, live, tasks, vary, motion, depth, bands, own_spectrum, stand, chemistry, read, learn, export,
-    own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
+    visibility, live, tasks, vary, motion, depth, bands, own_spectrum, stand, isp, chemistry, read, learn,
+    export, own_crop, cultivar, outputs, harvest, check, plants, rendering, realism,
 )  # fmt: skip
 """Pictures that are smaller as JPEG files."""
 DRAWINGS: Final = (

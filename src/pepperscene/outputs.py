@@ -19,8 +19,7 @@ from pepperscene.user_files import FileKind
 
 Need = Literal["light", "surfaces", "colours", "bands", "stereo", "depth_camera", "tissue", "meters"]
 """What an output can need: traced light, the spectra of the surfaces, a sensor with colours (or a monochrome
-one) or with bands, the stereo partner of the camera, a depth camera, the contents of tissue, or meters on
-surfaces."""
+one) or with bands, the stereo partner, a depth camera, contents of tissue, or meters on surfaces."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,14 @@ class Output:
     @property
     def suffix(self) -> str:
         """Suffix of its file in a data set."""
+        if self.name == "photo":
+            return ".jpg"
         return ".json" if not self.is_image else ".exr" if self.dtype.startswith("float") else ".png"
 
     @property
     def file_kind(self) -> FileKind:
         """Kind of its file, which limits the length."""
-        kinds: dict[str, FileKind] = {".json": "json", ".exr": "values", ".png": "image"}
+        kinds: dict[str, FileKind] = {".json": "json", ".exr": "values", ".png": "image", ".jpg": "image"}
         return kinds[self.suffix]
 
     @property
@@ -125,6 +126,7 @@ _IMAGER: Final[frozenset[Need]] = frozenset({"light", "depth_camera"})
 _CLASSES: Final = tuple(organ_class.name.lower() for organ_class in OrganClass)
 _ALL: Final = (
     Output("colour", "(h, w, 3)", "uint8", "sRGB", "the developed photograph", needs=_PHOTO, field="colour"),
+    Output("photo", "(h, w, 3)", "uint8", "sRGB", "the same as [JPEG](#jpeg)", needs=_PHOTO, field="colour"),
     Output(
         "raw",
         "(H, W)",

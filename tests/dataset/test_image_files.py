@@ -36,7 +36,7 @@ def example(output):
     return rng.integers(0, end, shape).astype(OUTPUTS[output].dtype)
 
 
-@pytest.mark.parametrize("output", OUTPUTS)
+@pytest.mark.parametrize("output", [name for name, output in OUTPUTS.items() if output.suffix != ".jpg"])
 def test_every_output_is_read_back_exactly_from_reproducible_bytes(tmp_path, output):
     path, image = tmp_path / f"x{OUTPUTS[output].suffix}", example(output)
     write_image(path, image, output)

@@ -264,9 +264,9 @@ def _file_of(output: Output) -> str:
     """The file of an output, as the page of outputs describes it."""
     if output.suffix == ".json":
         return "JSON"
-    if output.suffix == ".png":
+    if output.suffix in (".png", ".jpg"):
         bits = f"{8 * np.dtype(output.dtype).itemsize} bit"
-        return "PNG, " + ("3 × " if output.channels else "") + bits
+        return ("JPEG, " if output.suffix == ".jpg" else "PNG, ") + ("3 × " if output.channels else "") + bits
     channels = " ".join(f"`{name}`" for name in output.channel_names or (output.name,))
     if output.has_channels:
         channels = "`B01.475nm` …" if "bands" in output.needs else channels + ", or `Y`"

@@ -15,7 +15,7 @@ from typing import Any
 
 from annotated_types import Ge, Le, MaxLen, MinLen, MultipleOf
 
-from pepperscene.camera import StereoMatching
+from pepperscene.camera import ImageProcessor, StereoMatching
 from pepperscene.recipe import views_tables
 from pepperscene.recipe.camera_tables import AutoExposureTable
 from pepperscene.recipe.lamp_tables import LampTable
@@ -35,6 +35,7 @@ TABLES = {
     "`[auto_exposure]`": AutoExposureTable,
     "`[depth_camera]`": StereoMatching,
     "`[white_reference]`": WhiteReferenceTable,
+    "`[developing.isp]`": ImageProcessor,
     "`[daylight]`": Daylight,
     "`[[lamps]]`": LampTable,
     "`[twine]`": Twine,
@@ -52,6 +53,7 @@ LINKS = {
     "file of camera poses": "pose_files.md",
     "are in labels": "#labels-of-far-rows",
     "`polyethylene_film`": "devices.md#cover",
+    "name or path of a file with the values": "devices.md#image-signal-processor",
     "a CSV file of spectra": "devices.md#spectra",
     "marker boards, ColorCheckers and scale bars": "#standcharts",
 }
@@ -93,6 +95,8 @@ def value_text(annotation: Any) -> str:
         return _choice(annotation)
     if annotation is bool:
         return "`true` or `false`"
+    if annotation is str:
+        return "text"
     if annotation not in (int, float):
         return annotation.__name__
     bound = {type(rule): rule for rule in rules}

@@ -32,6 +32,7 @@ _PROCESS, _LIGHT = 300e6, 350e6  # of any frame, and further ones where light is
 _PER_SCENE_TRIANGLE: Final = 200.0  # of the mesh, its copies while it is assembled, and the search tree
 _PER_LABEL, _PER_LIGHT = 200.0, 1000.0  # per pixel that is computed at a time; light of three channels
 _PER_SITE: Final = 15.0  # per pixel or photosite of the whole image, while it is developed
+_PER_PROCESSED: Final = 80.0  # per pixel of the whole image, in an image signal processor
 _COPIES: Final = 3  # of an image that is encoded while the next one is rendered
 _PER_DISPARITY: Final = 4.0  # per pixel and disparity of the depth camera's matching
 _ADDRESS_SPACE: Final = 1e9  # that a process reserves but never uses: libraries, stacks of threads
@@ -73,6 +74,7 @@ def frame_memory(
         # Half of the values of a sample have one entry for each channel.
         per_pixel = _PER_LIGHT * (3 + sensor.channels) / 6
         needed += _LIGHT + _PER_SITE * max(pixels, int(np.prod(sensor.site_shape)))
+        needed += _PER_PROCESSED * pixels if camera.developing.isp is not None else 0.0
     needed += per_pixel * at_a_time
     if depth_camera is not None and DEPTH_CAMERA_OUTPUTS.intersection(outputs):
         left, disparities = depth_camera.left, depth_camera.matching.disparities

@@ -31,6 +31,8 @@ from pepperscene.camera.image.electrons import (
     stray_light_factor,
 )
 from pepperscene.camera.image.metered_image import SUBJECT_METERINGS, Metering, metering_camera
+from pepperscene.camera.isp.processor import ImageProcessor
+from pepperscene.camera.isp.processor_files import load_processor
 from pepperscene.camera.lamps.lamp import Lamp, aimed_axes
 from pepperscene.camera.lamps.lamp_files import load_lamp
 from pepperscene.camera.optics.distortion import Distortion, DistortionModel, FisheyeDistortion
@@ -65,6 +67,7 @@ __all__ = [
     "FisheyeDistortion",
     "Flash",
     "Ghost",
+    "ImageProcessor",
     "Lamp",
     "Lens",
     "MatchedDepth",
@@ -99,6 +102,7 @@ __all__ = [
     "load_flash",
     "load_lamp",
     "load_lens",
+    "load_processor",
     "load_projector",
     "load_sensor",
     "look_at",

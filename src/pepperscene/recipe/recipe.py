@@ -13,6 +13,8 @@ from pydantic import Field, PrivateAttr
 
 from pepperscene import atomic
 from pepperscene.camera import Developing
+from pepperscene.camera.isp.processor import TONE_CURVES
+from pepperscene.camera.isp.processor_files import load_processor, read_tone_curve
 from pepperscene.camera.lamps.photometric_files import ENDINGS
 from pepperscene.document import Document, read_toml
 from pepperscene.materials.stand import STAND_COLOURS
@@ -41,6 +43,8 @@ _REFERENCE: Final = "file"
 _POSES: Final = "poses"
 _CALIBRATIONS: Final = "calibrations"
 _COLOURS: Final = "colours"
+_ISPS: Final = "isps"
+_TONES: Final = "tones"
 
 FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("cultivar",): None,
@@ -59,6 +63,8 @@ FILE_FOLDERS: Final[Mapping[tuple[str, ...], str | None]] = {
     ("skin_texture",): "skins",
     ("lamps", "lamp"): "lamps",
     ("views", "file"): _POSES,
+    ("developing", "isp", "preset"): _ISPS,
+    ("developing", "isp", "tone_curve"): _TONES,
     ("stand", "pot_colour"): _COLOURS,
     ("stand", "backdrop_colour"): _COLOURS,
 }
@@ -222,6 +228,11 @@ def _fingerprints(part: str, folder: str | None, name: str) -> dict[str, dict[st
             if name in STAND_COLOURS
             else {part: _fingerprint(spectra_file(name), _spectra_values(spectra_file(name)))}
         )
+    if folder == _ISPS:
+        processor = load_processor(name).to_metadata()
+        return {part: _fingerprint(find_material(folder, name), processor)}
+    if folder == _TONES:
+        return {} if name in TONE_CURVES else {part: _fingerprint(Path(name), read_tone_curve(name))}
     if folder == _POSES:
         return {part: {"name": Path(name).stem, "sha256": atomic.digest(Path(name), "mesh")}}
     return _material_fingerprints(part, find_material(folder, name))

@@ -16,6 +16,7 @@ from pepperscene.camera import (
     measured_electrons,
     raw_frame,
 )
+from pepperscene.camera.image.photo import photo_description
 from pepperscene.camera.optics.white_reference import UNLIT_BANDS, WhiteReference, flash_on_panel
 from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.render.kernel.camera import (
@@ -40,7 +41,7 @@ def photographs(
     panel: WhiteReference,
     noise: np.random.SeedSequence,
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The requested outputs of a sensor, and the description of the white reference.
+    """The requested outputs of a sensor, and descriptions of the white reference and of JPEG files.
 
     Args:
         requested: names of outputs; others are ignored.
@@ -58,8 +59,11 @@ def photographs(
     # All start from the same generator state: the image is developed from exactly this raw frame.
     if "raw" in requested:
         images["raw"] = raw_frame(electrons, camera, np.random.default_rng(noise))
-    if "colour" in requested:
-        images["colour"] = develop(electrons, camera, np.random.default_rng(noise))
+    if {"colour", "photo"}.intersection(requested):
+        # The JPEG is made where files are written.
+        images["colour"] = images["photo"] = develop(electrons, camera, np.random.default_rng(noise))
+    if "photo" in requested:
+        described["photo"] = photo_description(camera)
     if {"electrons", "bands", "reflectance"}.intersection(requested):
         images["electrons"] = electrons.astype(np.float32, copy=False)
     if {"bands", "reflectance"}.intersection(requested):

@@ -96,6 +96,9 @@ class TuningTarget:
         if recipe.camera.exposure_s == AUTO:
             problem = "must be a time: colours are tuned at one exposure of all photographs"
             raise InputError(recipe.name, problem, key="camera.exposure_us", value=AUTO)
+        if recipe.developing.isp is not None:
+            problem = "must be left out: colours are tuned to linear light, which no image processor changed"
+            raise InputError(recipe.name, problem, key="developing.isp")
         self.frame_renderer = FrameRenderer(recipe)
         self.camera = self.frame_renderer.resolved.camera
         if self.camera.sensor.pattern in ("mono", "bands"):

@@ -12,7 +12,7 @@ from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.dataset.store.dataset import MARK
 from pepperscene.dataset.store.frame_json import file_entry, read_json
-from pepperscene.dataset.store.images import encode_image, recorded_bands
+from pepperscene.dataset.store.images import NO_PHOTO, encode_image, recorded_bands
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from pepperscene.recipe.recipe import Recipe
@@ -78,8 +78,8 @@ def render_frame(
         frame = renderer.render(spec, job.outputs, resolve_quality(job.quality, job.target_error))
         if on_stage is not None:
             on_stage("writing files")
-        bands = recorded_bands(frame.metadata)
-        files = {name: encode_image(frame.images[output], output, bands) for output, name in names.items()}
+        details = recorded_bands(frame.metadata), frame.metadata.get("photo", NO_PHOTO)
+        files = {name: encode_image(frame.images[output], output, *details) for output, name in names.items()}
     entries = {output: file_entry(name, files[name]) for output, name in names.items()}
     metadata = {**job.info, "format": FORMAT, **job.frame_metadata(frame, spec), "outputs": entries}
     files[METADATA] = canonical_json(metadata)

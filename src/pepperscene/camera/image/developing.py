@@ -18,6 +18,11 @@ from pepperscene.camera.image.colorimetry import (
     srgb_encode,
     white_balance_gains,
 )
+from pepperscene.camera.image.electrons import relative_illumination
+from pepperscene.camera.image.tone_curves import apply_tone
+from pepperscene.camera.isp.linear_steps import correct_shading, displace_red_and_blue, saturate
+from pepperscene.camera.isp.local_steps import apply_local_steps
+from pepperscene.camera.isp.processor import ImageProcessor
 from pepperscene.camera.sensor.developing_steps import LARGEST_PEDESTAL, Tone
 from pepperscene.camera.sensor.readout import Floats, colour_strips, mosaic_strips
 from pepperscene.camera.sensor.rows import row_strips
@@ -34,7 +39,8 @@ def develop(
 ) -> NDArray[np.uint8]:
     """The developed image, `(h, w, 3)` uint8; grey from a monochrome sensor. Sensors with bands have none.
 
-    It is made from the mosaic that `raw_frame` returns for a generator in the same state.
+    It is made from the mosaic that `raw_frame` returns for a generator in the same state. With an image
+    signal processor it is what that makes of it, before any JPEG.
 
     Args:
         electrons: `(h, w, c)` expected electrons of a photosite of each colour; values below 0 (undershoot of
@@ -49,10 +55,34 @@ def develop(
     """
     expected = _check_electrons(electrons, camera)
     _check_has_mosaic(camera)
+    isp = camera.developing.isp
+    if isp is not None and isp.changes_images:
+        return _processed(expected, camera, isp, rng)
     image = np.empty((camera.height, camera.width, 3), np.uint8)
     for rows, rgb in colour_strips(expected, camera.sensor, rng, camera.developing):
         linear = add_pedestal(correct_colours(rgb, camera), camera)
         image[rows] = encode_tone(linear, camera.developing.tone)
+    return image
+
+
+def _processed(
+    expected: NDArray[np.floating], camera: Camera, isp: ImageProcessor, rng: np.random.Generator | None
+) -> NDArray[np.uint8]:
+    """The image of `develop` by an image signal processor, whose filters need the whole image."""
+    sensor, shape = camera.sensor, (camera.height, camera.width)
+    codes = np.empty((*shape, sensor.channels), np.float32)
+    for rows, rgb in colour_strips(expected, sensor, rng, camera.developing):
+        codes[rows] = correct_shading(rgb, rows, shape, isp, relative_illumination(camera, rows))
+    if sensor.channels == 3:
+        displace_red_and_blue(codes, isp)
+    for rows in row_strips(camera.width, camera.height):
+        linear = correct_colours(codes[rows], camera)
+        linear = saturate(linear, isp.saturation) if sensor.channels == 3 else linear
+        codes[rows] = apply_tone(add_pedestal(linear, camera), isp, camera.developing.tone)
+    codes = apply_local_steps(codes, isp)
+    image = np.empty((*shape, 3), np.uint8)
+    for rows in row_strips(camera.width, camera.height):
+        image[rows] = encode_tone(codes[rows], "linear")
     return image
 
 

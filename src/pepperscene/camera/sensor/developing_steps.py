@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 import numpy as np
 from pydantic import BeforeValidator, PlainSerializer
 
+from pepperscene.camera.isp.processor import ImageProcessor
 from pepperscene.units import NONE, Switch, Table, single_message, within
 
 Demosaic = Literal["malvar", "menon", "bilinear"]
@@ -62,6 +63,7 @@ class Developing(Table):
             0.25; white stays white. Without it, clipping the noise of black makes it brighter, and most where
             noise is strongest, in red and blue. "auto" is `AUTO_PEDESTAL` standard deviations of the noisiest
             colour of black, which makes it neutral; 0 on a monochrome sensor.
+        isp: what an image signal processor does to the image, or None.
         blur_px: standard deviation of a Gaussian by which lens and optical low-pass filter blur the light
             before it is measured, besides focus and stray light.
 
@@ -84,6 +86,7 @@ class Developing(Table):
     white_balance_error: Gains = (1.0, 1.0, 1.0)
     stray_light: Switch = False
     pedestal: Annotated[Pedestal, _PEDESTAL] = 0.0
+    isp: ImageProcessor | None = None
     blur_px: Annotated[float, within(0, 20)] = 0.0
 
     def __post_init__(self) -> None:
@@ -96,9 +99,11 @@ class Developing(Table):
 
     def to_metadata(self) -> dict[str, Any]:
         """JSON-ready description; later steps only if they are used."""
-        steps = dataclasses.asdict(self)
-        unused = {"white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0}
-        unused["blur_px"] = 0.0
+        steps = dataclasses.asdict(self) | {"isp": self.isp and self.isp.to_metadata()}
+        unused = {
+            "white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0, "isp": None,
+            "blur_px": 0.0,
+        }  # fmt: skip
         return {name: value for name, value in steps.items() if name not in unused or value != unused[name]}
 
 

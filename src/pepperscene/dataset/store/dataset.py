@@ -39,7 +39,7 @@ from pepperscene.dataset.store.frame_json import (
     is_as_written,
     read_json,
 )
-from pepperscene.dataset.store.images import encode_image, read_image, recorded_bands
+from pepperscene.dataset.store.images import NO_PHOTO, encode_image, read_image, recorded_bands
 from pepperscene.dataset.store.journal import read_timings
 from pepperscene.dataset.store.manifest import (
     FRUIT,
@@ -266,9 +266,9 @@ class Dataset:
         """
         metadata = {str(key): value for key, value in metadata.items() if key not in (CHECKSUM, "outputs")}
         try:
-            bands = recorded_bands(metadata)
+            details = recorded_bands(metadata), metadata.get("photo", NO_PHOTO)
             entries = {
-                output: pool.submit(self._write_image, index, output, image, bands)
+                output: pool.submit(self._write_image, index, output, image, *details)
                 for output, image in images.items()
             }
             # Wait for all before the first error is raised, so that no image is written after the removal.
@@ -281,9 +281,11 @@ class Dataset:
             self._remove_unnamed(index, images)
             raise
 
-    def _write_image(self, index: int, output: str, image: Any, bands: Sequence[Band]) -> dict[str, Any]:
+    def _write_image(
+        self, index: int, output: str, image: Any, bands: Sequence[Band], photo: Mapping[str, Any]
+    ) -> dict[str, Any]:
         """Write an image; returns its entry in the frame's JSON."""
-        content = encode_image(image, output, bands)
+        content = encode_image(image, output, bands, photo)
         write_file(self.path(index, output), content)
         return file_entry(file_name(index, output), content)
 

@@ -1,4 +1,4 @@
-"""Image files: PNG for integers, OpenEXR for measured values, JSON for outputs that are no image.
+"""Image files: PNG for integers, OpenEXR for measured values, JPEG for photographs, JSON for other outputs.
 
 An EXR file has one channel named as its output, or `Output.channel_names`, or `Y` of a monochrome sensor.
 Those of a sensor with bands have their number and centre, `B01.475nm`; header attributes list the centres and
@@ -18,12 +18,14 @@ import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.atomic import canonical_json
+from pepperscene.camera.image.photo import jpeg_bytes
 from pepperscene.camera.optics.white_reference import UNLIT_BANDS
 from pepperscene.camera.sensor.bands import Band
 from pepperscene.classes import OrganClass
@@ -33,6 +35,7 @@ from pepperscene.outputs import BAND_OUTPUTS, OUTPUTS
 from pepperscene.truth.encodings import class_palette
 from pepperscene.user_files import check_file, open_file, read_file
 
+NO_PHOTO: Final[Mapping[str, Any]] = MappingProxyType({})
 _LUMINANCE: Final = ("Y",)  # channel of electrons and albedo behind no colour filter
 
 _CHANNEL: Final = re.compile(r"B(\d+)(\.\d+nm)?")
@@ -43,7 +46,9 @@ _DEFLATE_LEVEL, _DEFLATE_MEMORY = 1, 9
 _PNG_PART: Final = 1 << 24  # bytes of an image that are filtered at a time; chosen: more than most images
 
 
-def write_image(path: Path, image: Any, output: str, bands: Sequence[Band] = ()) -> None:
+def write_image(
+    path: Path, image: Any, output: str, bands: Sequence[Band] = (), photo: Mapping[str, Any] = NO_PHOTO
+) -> None:
     """Write one image of a frame in the format of its output, the same bytes for the same values.
 
     Args:
@@ -51,14 +56,17 @@ def write_image(path: Path, image: Any, output: str, bands: Sequence[Band] = ())
         image: of the shape and dtype of `OUTPUTS[output]`; a JSON-ready object if the output is no array.
         output: name of the output.
         bands: of the sensor, if it has bands.
+        photo: settings and EXIF of a JPEG, `photo` of the frame's metadata.
 
     Raises:
         ValueError: the image does not fit the output, or holds a value that JSON cannot represent.
     """
-    path.write_bytes(encode_image(image, output, bands))
+    path.write_bytes(encode_image(image, output, bands, photo))
 
 
-def encode_image(image: Any, output: str, bands: Sequence[Band] = ()) -> bytes:
+def encode_image(
+    image: Any, output: str, bands: Sequence[Band] = (), photo: Mapping[str, Any] = NO_PHOTO
+) -> bytes:
     """The content of the file that `write_image` writes; same arguments and `ValueError`."""
     expected = OUTPUTS[output]
     if not expected.fits(image):
@@ -68,6 +76,8 @@ def encode_image(image: Any, output: str, bands: Sequence[Band] = ()) -> bytes:
         return canonical_json(image)
     if expected.suffix == ".exr":
         return _exr_bytes(image, output, bands)
+    if expected.suffix == ".jpg":
+        return jpeg_bytes(image, photo)
     if output == "class":
         return png_bytes(image, class_palette(ignored=int(image.max(initial=0)) >= len(OrganClass)))
     return png_bytes(image)
@@ -87,7 +97,7 @@ def read_image(path: str | Path, *, within: Path | None = None) -> Any:
     try:
         if path.suffix == ".json":
             return _read_object(path, within)
-        return _read_exr(path, within) if path.suffix == ".exr" else _read_png(path, within)
+        return _read_exr(path, within) if path.suffix == ".exr" else _read_picture(path, within)
     except (OSError, RuntimeError, ValueError, SyntaxError, MemoryError) as error:
         raise InputError(path, f"cannot be read as an image ({str(error) or type(error).__name__})") from None
 
@@ -179,11 +189,12 @@ def _read_object(path: Path, within: Path | None) -> dict[str, Any]:
     return content
 
 
-def _read_png(path: Path, within: Path | None) -> NDArray[Any]:
+def _read_picture(path: Path, within: Path | None) -> NDArray[Any]:
     from PIL import Image
 
+    formats = ["JPEG" if path.suffix == ".jpg" else "PNG"]
     try:
-        with open_file(path, "image", within=within) as file, Image.open(file, formats=["PNG"]) as picture:
+        with open_file(path, "image", within=within) as file, Image.open(file, formats=formats) as picture:
             return np.array(picture)
     except Image.UnidentifiedImageError:
         raise ValueError(f"cannot identify image file {str(path)!r}") from None

@@ -20,7 +20,15 @@ from pepperscene.recipe.views_tables import ArcViews, PathViews, PoseViews
 from pepperscene.units import NONE, file_values
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, DepthCamera, Lens, Projector, Sensor, WhiteReference
+    from pepperscene.camera import (
+        Camera,
+        DepthCamera,
+        ImageProcessor,
+        Lens,
+        Projector,
+        Sensor,
+        WhiteReference,
+    )
     from pepperscene.camera.optics.calibration import CameraCalibration
 
 # Of the surfaces' spectra. The step is chosen: it resolves the red edge and the pigments' bands, 20 nm wide
@@ -63,6 +71,8 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
     if developing.white_balance == "flash" and flash is None and sensor.channels > 1:
         problem = f'needs a developing.white_balance of "daylight", "{NONE}" or three gains, not "flash"'
         raise InputError(where, problem, key="camera.flash", value=NONE)
+    if developing.isp is not None:
+        developing = replace(developing, isp=_load_processor(developing.isp, where, sensor, files))
     try:
         return Camera(
             lens=lens,
@@ -80,6 +90,25 @@ def load_camera(recipe: Recipe, where: str | Path = "", files: NamedFiles | None
             raise
         key = "distortion" if error.key == "distortion" and table.distortion else table.lens_key
         raise InputError(where, error.problem, key=f"camera.{key}", value=getattr(table, key)) from None
+
+
+def _load_processor(
+    processor: ImageProcessor, where: str | Path, sensor: Sensor, files: NamedFiles
+) -> ImageProcessor:
+    """The image signal processor with the values of its preset, and its tone curve read."""
+    from pepperscene.camera.isp.processor import TONE_CURVES
+    from pepperscene.camera.isp.processor_files import load_processor, read_tone_curve
+
+    key = "developing.isp"
+    if sensor.pattern == "bands":
+        raise InputError(where, f"must be left out: {sensor.name} has bands, and so no colour image", key=key)
+    if isinstance(name := processor.tone_curve, str) and name not in TONE_CURVES:
+        points = files.load(read_tone_curve, where, f"{key}.tone_curve", name)
+        processor = replace(processor, tone_curve=points)
+    if processor.preset is None:
+        return processor
+    preset = files.load(load_processor, where, f"{key}.preset", processor.preset)
+    return replace(processor.completed(preset), preset=Path(processor.preset).stem)
 
 
 def _check_line_scan(recipe: Recipe, where: str | Path, sensor: Sensor) -> None:

@@ -43,7 +43,9 @@ from pepperscene.truth import class_pixel_counts, saturated_fraction
 from pepperscene.truth.encodings import is_class_id
 from pepperscene.user_files import MissingFileError, open_file
 
-_PHOTOS: Final = ("colour", "colour_stereo")
+_MAIN_PHOTOS: Final = ("colour", "photo")
+"""Photographs of the main camera, the one without loss first."""
+_PHOTOS: Final = (*_MAIN_PHOTOS, "colour_stereo")
 _OBJECTS: Final[Mapping[str, tuple[type[BaseModel], str]]] = {
     "harvest": (HarvestFields, "pepperscene harvest 1"),
     "amodal": (AmodalFields, "pepperscene amodal 1"),
@@ -174,7 +176,7 @@ class FrameChecker:
         arrays = {name: image for name, image in images.items() if OUTPUTS[name].is_image}
         varied = [name for name, array in arrays.items() if not (array == array.flat[0]).all()]
         traced = next((name for name in varied if OUTPUTS[name].traced), None)
-        photo, seed = images.get("colour"), metadata.get("seed")
+        photo, seed = _main_photo(images), metadata.get("seed")
         has_harvest = "harvest" in metadata["outputs"]
         fruit = 0 if has_harvest else fruit_digest(())
         if "harvest" in images:
@@ -309,20 +311,24 @@ def _check_content(
     images: Mapping[str, Any], metadata: Mapping[str, Any], ignored: bool
 ) -> Iterator[Problem]:
     """Yield the problems of all images; see `check_labels` for `ignored`."""
-    has_edges = "colour" in images
+    photo, has_edges = _main_photo(images), True
     for output in _PHOTOS:
         if output in images:
             for kind, problem in check_photo(images[output]):
-                has_edges = has_edges and output != "colour"
+                has_edges = has_edges and output not in _MAIN_PHOTOS
                 yield kind, output, problem
     yield from check_labels(images, metadata, ignored=ignored)
     yield from check_values(images, metadata, ignored=ignored)
     yield from check_whole_organs(images)
     labels = next((name for name in ("instance", "class") if name in images), None)
-    if has_edges and labels is not None:
-        result = match_edges(images["colour"], images[labels])
+    if photo is not None and has_edges and labels is not None:
+        result = match_edges(photo, images[labels])
         if result is not None and not result.fits:
             yield "edges", labels, _describe_shift(result)
+
+
+def _main_photo(images: Mapping[str, Any]) -> NDArray[np.uint8] | None:
+    return next((images[output] for output in _MAIN_PHOTOS if output in images), None)
 
 
 def _describe_shift(result: EdgeMatch) -> str:
