@@ -27,7 +27,9 @@ CORNERS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
 
 
 def srgb(linear):
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+    return np.where(
+        linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    )
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,11 @@ class HiddenCamera:
         """`(3, 3)` from camera_rgb balanced by the sensor's own gains to linear values, exposure left out."""
         luma = np.array([0.2126, 0.7152, 0.0722])
         saturate = self.saturation * np.eye(3) + (1.0 - self.saturation) * luma
-        return saturate @ colour_correction(load_sensor(self.sensor), d65_spectrum()).matrix @ np.diag(self.balance)
+        return (
+            saturate
+            @ colour_correction(load_sensor(self.sensor), d65_spectrum()).matrix
+            @ np.diag(self.balance)
+        )
 
     def linear(self, reflectance):
         """`(m, 3)` linear values of reflectances `(m, 801)` under daylight in the middle of the picture."""
@@ -85,13 +91,21 @@ class HiddenCamera:
         rgb = gaussian_filter(rgb, (self.lens_blur, self.lens_blur, 0))
         sensor = replace(load_sensor(self.sensor), columns=width, rows=height, gain=self.gain)
         gains = colour_correction(sensor, d65_spectrum()).gains
-        camera = Camera(load_lens("lensagon_cmfa0420nd"), sensor, flash=None, developing=Developing(white_balance="daylight"))
+        camera = Camera(
+            load_lens("lensagon_cmfa0420nd"),
+            sensor,
+            flash=None,
+            developing=Developing(white_balance="daylight"),
+        )
         electrons = rgb / gains * sensor.full_well_e / self.gain
         rng = None if seed is None else np.random.default_rng(seed)
         noisy = camera_rgb(electrons, camera, rng).astype(float)
         if self.noise_blur:
             noisy = gaussian_filter(noisy, (self.noise_blur, self.noise_blur, 0))
-        linear = np.minimum(noisy * gains * self.balance, 1.0) @ (self.matrix @ np.diag(1 / np.array(self.balance))).T
+        linear = (
+            np.minimum(noisy * gains * self.balance, 1.0)
+            @ (self.matrix @ np.diag(1 / np.array(self.balance))).T
+        )
         codes = self.tone(linear)
         if self.chroma_blur:
             luma = codes @ [0.299, 0.587, 0.114]

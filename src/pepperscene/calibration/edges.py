@@ -69,7 +69,11 @@ def chart_sharpness(
     luminance = linear @ _LUMA
     edges = list(_outer_edges(photograph))
     reach_px = min((reach for *_, reach in edges), default=0.0)
-    spreads = [spread for start, end, _ in edges if (spread := line_spread(luminance, start, end, reach_px)) is not None]
+    spreads = [
+        spread
+        for start, end, _ in edges
+        if (spread := line_spread(luminance, start, end, reach_px)) is not None
+    ]
     if len(spreads) < 3:
         return None
     # Edges of high contrast have less noise, by the square of their contrast.
@@ -138,9 +142,7 @@ def line_spread(luminance: Floats, start: Floats, end: Floats, reach_px: float) 
     return _binned_derivative((places - start) @ normal, values, reach_px - 1.0)
 
 
-def _pixels_around(
-    luminance: Floats, start: Floats, end: Floats, reach_px: float
-) -> tuple[Floats, Floats]:
+def _pixels_around(luminance: Floats, start: Floats, end: Floats, reach_px: float) -> tuple[Floats, Floats]:
     """Centres `(n, 2)` and values `(n,)` of the pixels beside an edge."""
     low = np.floor(np.minimum(start, end) - reach_px - 1).astype(int)
     high = np.ceil(np.maximum(start, end) + reach_px + 1).astype(int)
@@ -155,9 +157,7 @@ def _pixels_around(
     return places[inside], luminance[low[1] : high[1], low[0] : high[0]].ravel()[inside]
 
 
-def _edge_line(
-    across: Floats, position: Floats, values: Floats, length: float
-) -> tuple[float, float] | None:
+def _edge_line(across: Floats, position: Floats, values: Floats, length: float) -> tuple[float, float] | None:
     """Slope and offset of an edge against the assumed one, from the places of half height along it."""
     reach = float(np.abs(across).max())
     low, high = np.median(values[across < -reach / 2]), np.median(values[across > reach / 2])

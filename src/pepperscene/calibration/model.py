@@ -8,34 +8,33 @@ the same modulation transfer, then gain and noise reduction so that both have th
 from __future__ import annotations
 
 import dataclasses
-import io
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.calibration.edges import Sharpness, chart_sharpness
+from pepperscene.calibration.edges import FREQUENCIES, Sharpness, chart_sharpness
 from pepperscene.calibration.noise import NoiseCurve, chart_noise
-from pepperscene.calibration.photographs import ChartPhotograph, measure_chart
+from pepperscene.calibration.photographs import ChartPhotograph, JpegSettings, measure_chart
 from pepperscene.calibration.response import CameraResponse
 from pepperscene.camera import Camera, ImageProcessor, develop
 from pepperscene.camera.image.colorimetry import srgb_decode, white_balance_gains
 from pepperscene.camera.image.developing import reference_light
 from pepperscene.camera.image.electrons import spread_light
-from pepperscene.camera.image.photo import jpeg_bytes
 from pepperscene.colour.patches.chart_detection import grid_corners, map_points
 from pepperscene.scene.charts import CalibrationChart, ChartKind
 
 Floats = NDArray[np.float64]
 
-_PITCH_PX: Final = 48.0  # chosen: fields of 19 pixels in their middle; a larger model shows no more
-_STEPS: Final = (4, 8)  # chosen: of fits from each start, and of the best; later ones change less than noise
+_PITCH_PX: Final = 64.0  # chosen: 38 pixels along each edge
+_STEPS: Final = 6  # chosen: of a fit; later ones change less than the noise of the chart
+_ROUNDS: Final = 3  # chosen: the last changes the modulation transfer by less than 0.01
 _MARGIN: Final = 0.6  # of the model's picture around the fields, in steps of the grid
 _SURROUNDINGS: Final = 0.25  # chosen: reflectance around the chart
 _SAMPLES: Final = 4  # chosen: points within a pixel, along either side
 _POINTS: Final = 129  # of the tone curve's file; chosen: a point for every other code
-_FIELD_PX: Final = 32.0  # chosen: side of fields for noise, 13 pixels in their middle
+_FIELD_PX: Final = 26.0  # chosen: side of fields for noise, 10 pixels in their middle
 # Logarithm of the gain, blur, amount and radius of sharpening, noise reduction of luma and of chroma: all
 # chosen. Blur and sharpening can cancel each other, so that weak ones are preferred.
 _EXPECTED: Final = np.array([0.7, 0.5, 0.2, 1.0, 0.01, 0.01])
@@ -47,21 +46,6 @@ _DIFFERENCE: Final = 0.05  # chosen: relative step of derivatives, above the gra
 _MTF_ERROR: Final = 0.03  # chosen: difference of modulation that is hardly visible
 _USED_FREQUENCIES: Final = slice(1, 26)  # above 0, up to half a cycle per pixel
 _NOISE_ERROR: Final = 0.05  # chosen: relative difference of deviations that is not visible
-
-
-@dataclass(frozen=True)
-class JpegSettings:
-    """How a JPEG file was compressed: quality as of the Independent JPEG Group, and subsampling of chroma."""
-
-    quality: int
-    subsampling: str
-
-    def compressed(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The picture `(h, w, 3)` after compression."""
-        from PIL import Image
-
-        settings = {"jpeg_quality": self.quality, "jpeg_subsampling": self.subsampling}
-        return np.array(Image.open(io.BytesIO(jpeg_bytes(picture, settings))).convert("RGB"))
 
 
 @dataclass(frozen=True)
@@ -132,16 +116,15 @@ class ChartModel:
         light = spread_light(self._chart.copy(), camera)
         return measure_chart(self._developed(light, settings, rng), self.corners, self._name)
 
-    def sharpness(self, settings: DetailSettings, seed: int) -> Sharpness | None:
-        """Sharpness of the chart, by noisy edges as those of the photograph."""
-        seen = self.photograph(settings, np.random.default_rng(seed))
+    def sharpness(self, settings: DetailSettings) -> Sharpness | None:
+        """Sharpness of the chart without noise."""
+        seen = self.photograph(settings)
         return chart_sharpness(seen, self._response.inverse_tone(seen.picture / 255.0))
 
     def noise(self, settings: DetailSettings, seed: int) -> NoiseCurve:
         """Noise of the chart's fields, which lie side by side for this."""
-        rng = np.random.default_rng(seed)
-        picture = self._developed(self._fields, settings, rng)
-        return chart_noise(measure_chart(picture, _FIELD_PX * grid_corners(), self._name), rng)
+        picture = self._developed(self._fields, settings, np.random.default_rng(seed))
+        return chart_noise(measure_chart(picture, _FIELD_PX * grid_corners(), self._name))
 
     def _developed(
         self, fractions: Floats, settings: DetailSettings, rng: np.random.Generator | None
@@ -162,29 +145,29 @@ class ChartModel:
         return picture if self._jpeg is None else self._jpeg.compressed(picture)
 
 
-def fit_details(model: ChartModel, sharpness: Sharpness | None, noise: NoiseCurve, seed: int) -> DetailSettings:
+def fit_details(
+    model: ChartModel, sharpness: Sharpness | None, noise: NoiseCurve, seed: int
+) -> DetailSettings:
     """The settings that give a measured modulation transfer, if there is one, and noise.
 
     Blur, sharpening, gain and noise reduction are fitted together, because all of them change the noise; once
     with noise reduction of chroma and once without, as it halves the resolution of chroma at any strength.
+    Blur and sharpening are factors on the modulation transfer of the model, which is measured again with the
+    settings of each round.
     """
     from scipy.optimize import least_squares
 
-    wanted = _noise_logarithms(noise)
-
-    def settings(free: Floats) -> DetailSettings:
-        gain, blur, amount, radius, luma, chroma = np.append(free, np.zeros(6 - len(free))).tolist()
-        return DetailSettings(np.exp(gain), blur, amount, radius, luma, chroma)
+    wanted, frequencies = _noise_logarithms(noise), FREQUENCIES[_USED_FREQUENCIES]
+    plain = np.ones(len(frequencies))
 
     def errors(free: Floats) -> Floats:
-        of_noise = (_noise_logarithms(model.noise(settings(free), seed)) - wanted) / _NOISE_ERROR
+        of_noise = (_noise_logarithms(model.noise(_settings(free), seed)) - wanted) / _NOISE_ERROR
         expected = (free - _EXPECTED[: len(free)]) / _EXPECTED_SD[: len(free)]
         if sharpness is None:
             return np.concatenate([of_noise, expected])
-        seen = model.sharpness(settings(free), seed)
-        mtf = np.zeros(len(sharpness.mtf)) if seen is None else seen.mtf
-        error = np.hypot(_MTF_ERROR, sharpness.mtf_sd)
-        return np.concatenate([((mtf - sharpness.mtf) / error)[_USED_FREQUENCIES], of_noise, expected])
+        difference = plain * _detail_transfer(_settings(free), frequencies) - sharpness.mtf[_USED_FREQUENCIES]
+        error = np.hypot(_MTF_ERROR, sharpness.mtf_sd[_USED_FREQUENCIES])
+        return np.concatenate([difference / error, of_noise, expected])
 
     def solved(start: Floats, steps: int) -> Any:
         bounds = _LOWEST[: len(start)], _HIGHEST[: len(start)]
@@ -192,9 +175,27 @@ def fit_details(model: ChartModel, sharpness: Sharpness | None, noise: NoiseCurv
             errors, start, bounds=bounds, diff_step=_DIFFERENCE, max_nfev=steps, xtol=1e-3, ftol=1e-3
         )
 
-    starts = (_EXPECTED[:5], _EXPECTED, _SOFTENED[:5], _SOFTENED)
-    best = min((solved(start, _STEPS[0]) for start in starts), key=lambda solution: solution.cost)
-    return settings(solved(best.x, _STEPS[1]).x)
+    free: Floats = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+    for number in range(_ROUNDS):
+        seen = model.sharpness(_settings(free))
+        if seen is not None:
+            plain = seen.mtf[_USED_FREQUENCIES] / _detail_transfer(_settings(free), frequencies)
+        starts = (_EXPECTED[:5], _EXPECTED, _SOFTENED[:5], _SOFTENED) if number == 0 else (free,)
+        free = min((solved(start, _STEPS) for start in starts), key=lambda solution: solution.cost).x
+    return _settings(free)
+
+
+def _settings(free: Floats) -> DetailSettings:
+    gain, blur, amount, radius, luma, chroma = np.append(free, np.zeros(6 - len(free))).tolist()
+    return DetailSettings(float(np.exp(gain)), blur, amount, radius, luma, chroma)
+
+
+def _detail_transfer(settings: DetailSettings, frequencies: Floats) -> Floats:
+    """Modulation transfer of a Gaussian blur and an unsharp mask, at frequencies in cycles per pixel."""
+    blur, mask = (
+        np.exp(-2.0 * (np.pi * sd * frequencies) ** 2) for sd in (settings.blur_px, settings.radius_px)
+    )
+    return np.asarray(blur * (1.0 + settings.sharpening * (1.0 - mask)))
 
 
 def _noise_logarithms(noise: NoiseCurve) -> Floats:
@@ -234,4 +235,3 @@ def _chart_image(fields: Floats, around: Floats, corners: Floats, shape: tuple[i
             column, row = np.searchsorted(edges_x, place[..., 0]), np.searchsorted(edges_y, place[..., 1])
             total += table[numbers[row, column]]
     return total / _SAMPLES**2
-

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -12,9 +13,7 @@ from pepperscene.calibration.photographs import ChartPhotograph
 
 Floats = NDArray[np.float64]
 
-YCBCR: Final = np.array(
-    [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]]
-)
+YCBCR: Final = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
 """Luma and chroma of codes, ITU-R BT.601 as in JPEG (JFIF 1.02)."""
 
 SCALES: Final = (1, 2)
@@ -61,16 +60,19 @@ class PhotonTransfer:
     dark: float
 
 
-def chart_noise(photograph: ChartPhotograph, rng: np.random.Generator) -> NoiseCurve:
-    """Noise in the fields of a photograph, without the gradual change of the light in them."""
+def chart_noise(photograph: ChartPhotograph, rng: np.random.Generator | None = None) -> NoiseCurve:
+    """Noise in the fields of a photograph, without the gradual change of the light in them.
+
+    A generator draws resamples of parts of the fields; without one, the standard deviation is 0.
+    """
     parts = np.stack([_variances(codes @ YCBCR.T) for codes in photograph.middles])
     parts[~photograph.usable.all(axis=1)] = np.nan
-    variances = parts.mean(axis=1)
-    # Parts of a field are resampled; all fields are pooled.
-    usable = parts[np.isfinite(variances).all(axis=(1, 2)), :, 0, 0]
-    drawn = rng.integers(0, usable.shape[1], (_RESAMPLES, usable.shape[1]))
-    means = usable[:, drawn].mean(axis=-1) / np.maximum(usable.mean(axis=1), 1e-12)[:, None]
-    relative = float(np.sqrt(np.mean(means.var(axis=1, ddof=1)))) / 2.0
+    variances, relative = parts.mean(axis=1), 0.0
+    if rng is not None:
+        usable = parts[np.isfinite(variances).all(axis=(1, 2)), :, 0, 0]
+        drawn = rng.integers(0, usable.shape[1], (_RESAMPLES, usable.shape[1]))
+        means = usable[:, drawn].mean(axis=-1) / np.maximum(usable.mean(axis=1), 1e-12)[:, None]
+        relative = float(np.sqrt(np.mean(means.var(axis=1, ddof=1)))) / 2.0
     return NoiseCurve(photograph.codes, np.sqrt(variances), relative)
 
 
@@ -116,8 +118,8 @@ def _variances(values: Floats) -> Floats:
         edges = np.linspace(0, side, _TILES + 1).astype(int)
         parts = [
             square[top:bottom, left:right].mean(axis=(0, 1))
-            for top, bottom in zip(edges, edges[1:], strict=False)
-            for left, right in zip(edges, edges[1:], strict=False)
+            for top, bottom in pairwise(edges)
+            for left, right in pairwise(edges)
         ]
         # Three numbers of a plane were fitted.
         result.append(np.stack(parts) * side**2 / max(side**2 - 3, 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -9,10 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pepperscene.camera.image.photo import jpeg_bytes
 from pepperscene.colour.patches.chart import check_corners, orient_corners
 from pepperscene.colour.patches.chart_detection import find_chart, grid_corners, map_points
 from pepperscene.dataset.readers.pictures import read_photo
 from pepperscene.errors import ArgumentError, InputError
+from pepperscene.user_files import open_file
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +26,30 @@ _MAX_CLIPPED: Final = 0.01  # chosen: fraction of a field's codes at 0 or 255 th
 _MIN_WHITE: Final = 0.2  # chosen: mean code of the white field, of full scale; darker charts have no tones
 _MIN_USED: Final = 12  # chosen: half of the chart
 _CARD_PARTS: Final = 4  # chosen: a grey card is divided into 4 x 4 parts
+
+
+_SAMPLINGS: Final = {0: "4:4:4", 1: "4:2:2", 2: "4:2:0"}  # as Pillow numbers them
+_LUMA_TABLE: Final = (
+    16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56,
+    14, 17, 22, 29, 51, 87, 80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92,
+    49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99,
+)  # fmt: skip
+"""Quantisation of luma of ITU-T T.81, table K.1."""
+
+
+@dataclass(frozen=True)
+class JpegSettings:
+    """How a JPEG file was compressed: quality as of the Independent JPEG Group, and subsampling of chroma."""
+
+    quality: int
+    subsampling: str
+
+    def compressed(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The picture `(h, w, 3)` after compression."""
+        from PIL import Image
+
+        settings = {"jpeg_quality": self.quality, "jpeg_subsampling": self.subsampling}
+        return np.array(Image.open(io.BytesIO(jpeg_bytes(picture, settings))).convert("RGB"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +107,7 @@ def measure_chart(picture: NDArray[np.uint8], corners: Floats, where: str | Path
     steps = [map_points(centres_of + half, grid_corners(), corners) for half in ([0.5, 0.0], [0.0, 0.5])]
     pitch = 2.0 * np.min([np.linalg.norm(step - centres, axis=1) for step in steps], axis=0)
     sides = np.floor(_MIDDLE * pitch).astype(int)
-    if (smallest := int(sides.min())) < _MIN_SIDE_PX:
+    if sides.min() < _MIN_SIDE_PX:
         least = round(_MIN_SIDE_PX / _MIDDLE)
         problem = f"shows fields of {pitch.min():.0f} pixels; they must have at least {least}"
         raise InputError(where, problem, key="chart")
@@ -90,7 +117,9 @@ def measure_chart(picture: NDArray[np.uint8], corners: Floats, where: str | Path
     )
     photograph = _measured(picture, corners, np.arange(FIELDS), middles, centres, where)
     if (white := float(photograph.codes[18].max())) < _MIN_WHITE:
-        problem = f"is too dark: its white field has the code {255.0 * white:.0f}, minimum {255 * _MIN_WHITE:g}"
+        problem = (
+            f"is too dark: its white field has the code {255.0 * white:.0f}, minimum {255 * _MIN_WHITE:g}"
+        )
         raise InputError(where, problem, key="chart")
     if (used := int(photograph.usable.all(axis=1).sum())) < _MIN_USED:
         problem = f"has {FIELDS - used} of {FIELDS} fields with codes at 0 or 255: change the exposure"
@@ -115,7 +144,10 @@ def read_card(path: Path, box: tuple[float, ...]) -> ChartPhotograph:
         size = f"{picture.shape[1]}x{picture.shape[0]} pixels"
         raise ArgumentError("grey_card", f"must be inside {path}, {size}, not {left},{top},{width},{height}")
     if min(width, height) < _CARD_PARTS * _MIN_SIDE_PX:
-        raise ArgumentError("grey_card", f"must be at least {_CARD_PARTS * _MIN_SIDE_PX} pixels wide and high, not {width}x{height}")
+        raise ArgumentError(
+            "grey_card",
+            f"must be at least {_CARD_PARTS * _MIN_SIDE_PX} pixels wide and high, not {width}x{height}",
+        )
     # Parts of equal size; what remains at the right and the bottom is left out.
     step_x, step_y = width // _CARD_PARTS, height // _CARD_PARTS
     side = min(step_x, step_y)
@@ -128,6 +160,24 @@ def read_card(path: Path, box: tuple[float, ...]) -> ChartPhotograph:
     if not card.usable.all(axis=1).any():
         raise InputError(path, "has codes at 0 or 255 everywhere on the card: change the exposure")
     return card
+
+
+def jpeg_settings(path: Path) -> JpegSettings | None:
+    """How a photograph was compressed, by its table of quantisation; None if it is no JPEG of colours.
+
+    The quality is that of the Independent JPEG Group whose table of luma is nearest.
+    """
+    from PIL import Image, JpegImagePlugin
+
+    with open_file(path, "image") as file, Image.open(file) as image:
+        tables, sampling = getattr(image, "quantization", None), JpegImagePlugin.get_sampling(image)
+    if not tables or sampling not in _SAMPLINGS:
+        return None
+    found, standard = sum(tables[0]), np.array(_LUMA_TABLE)
+    qualities = np.arange(1, 101)
+    scales = np.where(qualities < 50, 5000 // qualities, 200 - 2 * qualities)
+    sums = np.clip((standard * scales[:, None] + 50) // 100, 1, 255).sum(axis=1)
+    return JpegSettings(int(qualities[np.abs(sums - found).argmin()]), _SAMPLINGS[sampling])
 
 
 def _measured(

@@ -28,10 +28,11 @@ Floats = NDArray[np.float64]
 _KNOTS: Final = 17  # chosen: steps of a sixteenth of the codes show a toe and a shoulder
 _CODE_ERROR: Final = 1.5 / 255.0  # chosen: specimens of the chart differ by one or two codes
 _CURVATURE: Final = 0.006
-"""Chosen: expected second difference of the tone curve from knot to knot; that of a strong S-curve is 0.02."""
+"""Chosen: expected second difference of the tone curve from knot to knot; a strong S-curve has 0.02."""
 _GRADIENT_SD: Final = 0.1  # chosen: change of light over half a diagonal of the picture
-_VIGNETTING_SD: Final = (0.5, 0.15)  # chosen: loss at the corners, in r^2 and r^4
+_VIGNETTING_SD: Final = 0.5  # chosen: loss at the corners
 _BLACK: Final = 0.01  # chosen: code of black from which the fit begins
+_STEPS: Final = 60  # chosen: of the fit; later ones change no code
 _RESAMPLES: Final = 200  # chosen: a standard deviation is then known to 5 %
 _TABLE: Final = 4097  # entries of the inverse; chosen: a sixteenth of a code
 
@@ -45,7 +46,7 @@ class CameraResponse:
         matrix: `(3, 3)` from balanced camera_rgb to linear values; its rows sum to 1.
         knots: `(k,)` codes in 0 to 1 at equal steps of sRGB-encoded light from 0 to 1.
         exposures: `(p,)` green of a white diffuser before the matrix, in the middle of each photograph.
-        vignetting: `(2,)` factors of r^2 and r^4 by which light changes, r in half diagonals.
+        vignetting: `(1,)` relative change of the light at the corners; it grows with r^2.
         gradients: `(p, 2)` relative change of the light to the right and down, over half a diagonal.
         sd: standard deviations of these, by name.
         residuals: `(p, n, 3)` measured minus fitted codes; nan where clipped.
@@ -78,8 +79,7 @@ class CameraResponse:
 
     def illumination(self, place: Floats, number: int) -> Floats:
         """`(m,)` light of photograph `number` at places `(m, 2)`, relative to its middle."""
-        square = (place**2).sum(axis=-1)
-        radial = 1.0 + self.vignetting[0] * square + self.vignetting[1] * square**2
+        radial = 1.0 + self.vignetting[0] * (place**2).sum(axis=-1)
         return np.asarray(radial * np.exp(place @ self.gradients[number]))
 
 
@@ -100,7 +100,7 @@ def fit_response(
     from scipy.optimize import least_squares
 
     model = _Model(photographs, rgb)
-    solution = least_squares(model.errors, model.start(start), loss="soft_l1", x_scale="jac", max_nfev=200)
+    solution = least_squares(model.errors, model.start(start), loss="soft_l1", x_scale="jac", max_nfev=_STEPS)
     errors, jacobian = model.errors(solution.x), model.jacobian(solution.x)
     robust = 1.0 / np.sqrt(1.0 + errors**2)  # the weights of soft_l1
 
@@ -116,6 +116,35 @@ def fit_response(
     fitted = model.response(solution.x)
     values = {name: getattr(fitted, name) for name in names}
     return CameraResponse(**values, sd=sd, residuals=model.residuals(fitted))
+
+
+def card_response(
+    photographs: Sequence[ChartPhotograph], matrix: Floats, rng: np.random.Generator
+) -> CameraResponse:
+    """The response by photographs of a grey card, for an sRGB tone curve and a given matrix.
+
+    Uncertainties are standard deviations over 200 resamples of the card's parts.
+    """
+    linear = np.concatenate([srgb_decode(p.codes[p.usable.all(axis=1)]) for p in photographs])
+    square = np.concatenate([(p.place[p.usable.all(axis=1)] ** 2).sum(axis=-1) for p in photographs])
+    owner = np.repeat(np.arange(len(photographs)), [int(p.usable.all(axis=1).sum()) for p in photographs])
+    basis = np.column_stack([owner[:, None] == np.arange(len(photographs)), square]).astype(float)
+
+    def fitted(number: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
+        # What sensors see of the card is what the matrix makes this colour of.
+        device = linear[number] @ np.linalg.inv(matrix).T
+        light = np.linalg.lstsq(basis[number], device[:, 1], rcond=None)[0]
+        gains = device.mean(axis=0)
+        return gains / gains[1], light[:-1], light[-1:] / light[:-1].mean()
+
+    names = ("gains", "exposures", "vignetting")
+    drawn = [fitted(rng.integers(0, len(linear), len(linear))) for _ in range(_RESAMPLES)]
+    sd = {name: np.std([sample[at] for sample in drawn], axis=0, ddof=1) for at, name in enumerate(names)}
+    values = dict(zip(names, fitted(np.arange(len(linear))), strict=True))
+    knots = np.linspace(0.0, 1.0, _KNOTS)
+    return CameraResponse(
+        matrix=matrix, knots=knots, gradients=np.zeros((len(photographs), 2)), sd=sd, **values
+    )
 
 
 class _Model:
@@ -134,11 +163,11 @@ class _Model:
         steps = np.full(_KNOTS, np.log((1.0 - _BLACK) / (_KNOTS - 1)))
         steps[0] = np.log(_BLACK)
         others = np.log(white[1:] / white[0])
-        return np.concatenate([(white[0] * matrix).ravel(), steps, others, np.zeros(2 + 2 * self._number)])
+        return np.concatenate([(white[0] * matrix).ravel(), steps, others, np.zeros(1 + 2 * self._number)])
 
     def response(self, free: Floats) -> CameraResponse:
         """The response of these numbers."""
-        parts = np.split(free, np.cumsum([9, _KNOTS, self._number - 1, 2]))
+        parts = np.split(free, np.cumsum([9, _KNOTS, self._number - 1, 1]))
         matrix, steps, others, vignetting, gradients = parts
         # The gains are those that make the matrix' rows sum to 1: of the light that it shows as neutral.
         combined = matrix.reshape(3, 3)
@@ -186,5 +215,5 @@ class _Model:
         """Weights `(r,)` of the errors if the fields are drawn with replacement, in all photographs alike."""
         count = self._codes.shape[1]
         drawn = np.bincount(rng.integers(0, count, count), minlength=count).astype(float)
-        expectations = _KNOTS - 2 + 2 + 2 * self._number + 1
+        expectations = _KNOTS - 2 + 1 + 2 * self._number + 1
         return np.concatenate([np.tile(np.repeat(drawn, 3), self._number), np.ones(expectations)])
