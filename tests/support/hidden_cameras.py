@@ -20,6 +20,7 @@ from pepperscene.camera.image.colorimetry import (
     d65_spectrum,
 )
 from pepperscene.camera.sensor.developing_steps import Developing
+from pepperscene.spectra import read_spectra
 
 FRAME = 24  # index of the black frame of the chart, of the black field's reflectance
 GREY = 25  # index of what surrounds the chart
@@ -81,9 +82,9 @@ class HiddenCamera:
         """`(m, 3)` codes in 0 to 1 of reflectances `(m, 801)`, without noise."""
         return self.tone(self.linear(reflectance))
 
-    def photograph(self, reflectance, seed=0):
-        """`(h, w, 3)` uint8 picture of an index map's reflectances `(h, w, 801)` or balanced rgb `(h, w, 3)`."""
-        rgb = reflectance * self.white
+    def photograph(self, rgb, seed=0):
+        """`(h, w, 3)` uint8 picture of balanced camera_rgb `(h, w, 3)`; without a seed, without noise."""
+        rgb = rgb * self.white
         height, width = rgb.shape[:2]
         y, x = np.mgrid[:height, :width]
         radius = np.hypot(x + 0.5 - width / 2, y + 0.5 - height / 2) / np.hypot(width / 2, height / 2)
@@ -174,3 +175,14 @@ def photographed_chart(camera, shape=(480, 640), seed=0, **place):
     """Picture of a chart, and its corners."""
     corners = chart_corners(shape, **place)
     return camera.photograph(chart_rgb(camera.sensor, shape, corners), seed), corners
+
+
+def natural_reflectances():
+    """`(n, 801)` measured reflectances of fruit, leaves, stems, bark and straw that are shipped."""
+    files = (
+        "fruit/vrhel_fruit_vegetable_reflectance", "leaf/vrhel_leaf_reflectance",
+        "organ/vrhel_wood_bark_straw_reflectance", "organ/vrhel_white_fabric_reflectance",
+        "organ/koivisto_plant_stem_reflectance",
+    )  # fmt: skip
+    curves = [curve.at(NM) for file in files for curve in read_spectra(file, outside="hold").values()]
+    return np.clip(np.array(curves), 0.0, 1.0)

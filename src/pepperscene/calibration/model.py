@@ -34,7 +34,7 @@ _MARGIN: Final = 0.6  # of the model's picture around the fields, in steps of th
 _SURROUNDINGS: Final = 0.25  # chosen: reflectance around the chart
 _SAMPLES: Final = 4  # chosen: points within a pixel, along either side
 _POINTS: Final = 129  # of the tone curve's file; chosen: a point for every other code
-_FIELD_PX: Final = 26.0  # chosen: side of fields for noise, 10 pixels in their middle
+_FIELD_PX: Final = 48.0  # side of fields for noise: whole blocks of chroma of JPEG, of 16 pixels
 # Logarithm of the gain, blur, amount and radius of sharpening, noise reduction of luma and of chroma: all
 # chosen. Blur and sharpening can cancel each other, so that weak ones are preferred.
 _EXPECTED: Final = np.array([0.7, 0.5, 0.2, 1.0, 0.01, 0.01])
