@@ -91,7 +91,8 @@ class ChartModel:
         light = float(response.exposures[number] * response.illumination(photograph.place, number).mean())
         gains = sensor_gains(camera, response)
         table = light * rgb * response.gains / gains
-        self._chart = _chart_image(table, light * _SURROUNDINGS / gains, self.corners, (height, width))
+        around = light * _SURROUNDINGS * response.gains / gains
+        self._chart = _chart_image(table, around, self.corners, (height, width))
         side = int(_FIELD_PX)
         self._fields = table.reshape(4, 6, 3).repeat(side, axis=0).repeat(side, axis=1)
         developing = dataclasses.replace(
@@ -199,10 +200,13 @@ def _detail_transfer(settings: DetailSettings, frequencies: Floats) -> Floats:
 
 
 def _noise_logarithms(noise: NoiseCurve) -> Floats:
-    """Logarithms of the mean deviations of luma and of chroma at both scales `(4,)`."""
-    mean = noise.mean()
-    chroma = np.sqrt((mean[:, 1:] ** 2).mean(axis=1))
-    return np.log(np.maximum(np.concatenate([mean[:, 0], chroma]), 1e-5))
+    """Logarithms of mean deviations `(6,)`: of luma in dark, middle and light fields, and of its 2 x 2 means;
+    of chroma, and of its 2 x 2 means.
+    """
+    squares = noise.deviations[np.argsort(noise.levels[:, 1])] ** 2
+    luma = [np.nanmean(part) for part in np.array_split(squares[:, 0, 0], 3)]
+    means = [np.nanmean(squares[:, 1, 0]), *np.nanmean(squares[:, :, 1:], axis=(0, 2))]
+    return np.asarray(0.5 * np.log(np.maximum([*luma, *means], 1e-10)))
 
 
 def _model_pose(corners: Floats) -> tuple[Floats, tuple[int, int]]:

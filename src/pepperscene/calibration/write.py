@@ -196,7 +196,8 @@ def calibration_values(calibration: ChartCalibration) -> Iterator[tuple[str, str
     for noise, name in ((calibration.noise, "photograph"), (calibration.model_noise, "model")):
         if noise is not None:
             luma, *chroma = (255.0 * noise.mean()[0]).tolist()
-            text = f"{luma:.2f} ± {luma * noise.relative_sd:.2f}, {chroma[0]:.2f} and {chroma[1]:.2f}"
+            sd = f" ± {luma * noise.relative_sd:.2f}" if noise.relative_sd else ""
+            text = f"{luma:.2f}{sd}, {chroma[0]:.2f} and {chroma[1]:.2f}"
             yield f"noise of luma and both chromas of the {name}, in codes", text
     if calibration.transfer is not None:
         transfer = calibration.transfer
