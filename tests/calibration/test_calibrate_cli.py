@@ -1,4 +1,4 @@
-"""`pepperscene calibrate`: photographs as they are turned, and bad input in one sentence with nothing written."""
+"""`pepperscene calibrate`: photographs as displayed, and bad input in one sentence with nothing written."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_saturated_fields_are_left_out():
         ("missing", (), "missing.jpg"),
         ("chart", ("--corners", "1,2,3"), "--corners: must be 8 numbers"),
         ("chart", ("--corners", "1,2,3,x,5,6,7,8"), "--corners: must be numbers"),
-        ("chart", ("--corners", "0,0,30,0,30,20,0,20"), "fields of 5 pixels"),
+        ("chart", ("--corners", "0,0,30,0,30,20,0,20"), "fields of 4 pixels"),
         ("chart", ("--grey-card", "300,200,200,50"), "--grey-card: must be inside"),
         ("chart", ("--grey-card", "10,10,8,8"), "--grey-card: must be at least 24"),
         ("chart", ("--grey-card", "10,10,40,40", "--corners", "1,2,3,4,5,6,7,8"), "cannot be combined"),

@@ -1,4 +1,4 @@
-"""The closed loop: a chart through hidden image processing, its calibration, and frames of the written recipe."""
+"""The closed loop: a chart through hidden processing, its calibration, and what the written recipe shows."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pepperscene import CalibrationOptions, calibrate, load_recipe
 from pepperscene.calibration.edges import chart_sharpness
 from pepperscene.calibration.noise import chart_noise
 from pepperscene.calibration.photographs import measure_chart
-from pepperscene.camera import decode_tone, develop, load_sensor
+from pepperscene.camera import decode_tone, develop
 from pepperscene.camera.image.colorimetry import colour_correction, d65_spectrum
 from pepperscene.camera.image.electrons import spread_light
 from pepperscene.camera.image.photo import jpeg_bytes, photo_description
@@ -103,7 +103,6 @@ def check_closed_loop(camera, folder, recipe):
         "chart": np.median(of_chart), "natural": np.median(natural), "mtf": mtf[0] / mtf[1],
         "luma": noise[0][0] / noise[1][0], "chroma": chroma[0] / chroma[1],
     }  # fmt: skip
-    print({name: round(float(value), 3) for name, value in figures.items()})
     assert max(figures["chart"], figures["natural"]) <= 1.5, figures
     assert figures["mtf"] == pytest.approx(1.0, abs=0.1), figures
     assert figures["luma"] == pytest.approx(1.0, abs=0.15), figures

@@ -95,10 +95,11 @@ class ChartModel:
         self._chart = _chart_image(table, around, self.corners, (height, width))
         side = int(_FIELD_PX)
         self._fields = table.reshape(4, 6, 3).repeat(side, axis=0).repeat(side, axis=1)
+        matrix: Any = response.matrix
         developing = dataclasses.replace(
             camera.developing,
             white_balance=tuple(gains.tolist()),
-            colour_matrix=tuple(map(tuple, response.matrix.tolist())),
+            colour_matrix=matrix,
             white_balance_error=(1.0, 1.0, 1.0),
             pedestal=0.0,
         )
