@@ -54,7 +54,7 @@ def recipe(tmp_path_factory):
 
 
 def written_photograph(path, exposure, rgb, seed=None):
-    """A photograph of balanced camera_rgb `(h, w, 3)` by the written recipe's camera, as its JPEG shows it."""
+    """The photograph of camera_rgb `(h, w, 3)` by the written recipe's camera, as its JPEG shows it."""
     camera = load_camera(load_recipe(path))
     sensor = replace(camera.sensor, columns=rgb.shape[1], rows=rgb.shape[0])
     camera = replace(camera, sensor=sensor)
