@@ -12,6 +12,9 @@ from .building.scenes.plants import grow_plant as grow_plant
 from .building.scenes.trait_tables import PlantTraits as PlantTraits
 from .building.scenes.trait_tables import plant_traits as plant_traits
 from .building.scenes.trait_tables import write_traits as write_traits
+from .calibration import CalibrationOptions as CalibrationOptions
+from .calibration import ChartCalibration as ChartCalibration
+from .calibration import calibrate as calibrate
 from .camera import Camera as Camera
 from .camera import Developing as Developing
 from .camera import Motion as Motion

@@ -4,12 +4,23 @@ Exit codes: 0 success, 1 a data set has faults, 2 an error that the user can fix
 plus the number of the signal that interrupted the command.
 """
 
-from pepperscene.cli import building, datasets, learning, light, machine, tasks, tuning, viewpoints
+from pepperscene.cli import (
+    building,
+    calibration,
+    datasets,
+    learning,
+    light,
+    machine,
+    tasks,
+    tuning,
+    viewpoints,
+)
 from pepperscene.cli.application import app, main
 
 __all__ = [
     "app",
     "building",
+    "calibration",
     "datasets",
     "learning",
     "light",

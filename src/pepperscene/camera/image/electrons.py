@@ -95,7 +95,7 @@ def electrons_per_light(camera: Camera, rows: slice = slice(None)) -> NDArray[np
 
 
 def image_electrons(signal: NDArray[np.float32], camera: Camera) -> NDArray[Any]:
-    """`(h, w, c)` the `expected_electrons` of an image, with the lens' stray light if that is switched on.
+    """`(h, w, c)` the `expected_electrons` of an image, with the lens' blur and stray light if switched on.
 
     Those of a large image are in single precision, and take the place of the signal.
 
@@ -107,12 +107,26 @@ def image_electrons(signal: NDArray[np.float32], camera: Camera) -> NDArray[Any]
         ValueError: as `expected_electrons`.
     """
     strips = row_strips(camera.width, camera.height)
+    electrons: NDArray[Any] = signal
     if len(strips) == 1:
         electrons = expected_electrons(signal, camera)
-        return add_stray_light(electrons, camera) if camera.developing.stray_light else electrons
-    for rows in strips:
-        signal[rows] = expected_electrons(signal[rows], camera, rows)
-    return add_stray_light(signal, camera) if camera.developing.stray_light else signal
+    else:
+        for rows in strips:
+            signal[rows] = expected_electrons(signal[rows], camera, rows)
+    return spread_light(electrons, camera)
+
+
+def spread_light(electrons: NDArray[Any], camera: Camera) -> NDArray[Any]:
+    """Expected electrons `(h, w, c)` with the blur and the stray light that are switched on.
+
+    With mirrored borders, both keep the sum over the image. The array may be overwritten.
+    """
+    developing = camera.developing
+    if developing.blur_px:
+        from scipy.ndimage import gaussian_filter
+
+        gaussian_filter(electrons, (developing.blur_px, developing.blur_px, 0.0), output=electrons)
+    return add_stray_light(electrons, camera) if developing.stray_light else electrons
 
 
 def stray_light_factor(camera: Camera) -> float:

@@ -65,7 +65,7 @@ class ImageProcessor(Table):
         chroma_noise_reduction: the same for chroma, over twice the distance.
         local_tone_mapping: how far the brightness of large areas is moved to the mean; black and white stay.
         local_contrast: by what share details of these areas are amplified.
-        sharpening: amount of an unsharp mask of luma.
+        sharpening: amount of an unsharp mask of luma; negative values soften.
         sharpening_radius_px: standard deviation of its Gaussian; 1 without a value.
         sharpening_threshold: smaller differences, as fractions of white, are not sharpened.
         jpeg_quality: of the output `photo`, on the scale of the Independent JPEG Group; 90 without a value.
@@ -87,7 +87,7 @@ class ImageProcessor(Table):
     chroma_noise_reduction: Annotated[float, within(0, 0.5)] | None = None
     local_tone_mapping: Fraction | None = None
     local_contrast: Annotated[float, within(0, 4)] | None = None
-    sharpening: Annotated[float, within(0, 10)] | None = None
+    sharpening: Annotated[float, within(-1, 10)] | None = None
     sharpening_radius_px: Annotated[float, within(0.3, 10)] | None = None
     sharpening_threshold: Fraction | None = None
     jpeg_quality: Quality | None = None

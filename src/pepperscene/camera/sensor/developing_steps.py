@@ -64,6 +64,8 @@ class Developing(Table):
             noise is strongest, in red and blue. "auto" is `AUTO_PEDESTAL` standard deviations of the noisiest
             colour of black, which makes it neutral; 0 on a monochrome sensor.
         isp: what an image signal processor does to the image, or None.
+        blur_px: standard deviation of a Gaussian by which lens and optical low-pass filter blur the light
+            before it is measured, besides focus and stray light.
 
     Sequences and arrays of numbers become tuples of floats. White balance and colour matrix do not apply to
     monochrome sensors. With numbers for both, or without a matrix, no reference light is needed.
@@ -85,6 +87,7 @@ class Developing(Table):
     stray_light: Switch = False
     pedestal: Annotated[Pedestal, _PEDESTAL] = 0.0
     isp: ImageProcessor | None = None
+    blur_px: Annotated[float, within(0, 20)] = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "white_balance_error", _gains(self.white_balance_error, "error"))
@@ -97,7 +100,10 @@ class Developing(Table):
     def to_metadata(self) -> dict[str, Any]:
         """JSON-ready description; later steps only if they are used."""
         steps = dataclasses.asdict(self) | {"isp": self.isp and self.isp.to_metadata()}
-        unused = {"white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0, "isp": None}
+        unused = {
+            "white_balance_error": (1.0, 1.0, 1.0), "stray_light": False, "pedestal": 0.0, "isp": None,
+            "blur_px": 0.0,
+        }  # fmt: skip
         return {name: value for name, value in steps.items() if name not in unused or value != unused[name]}
 
 

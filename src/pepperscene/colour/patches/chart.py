@@ -89,7 +89,7 @@ def calibrate(
         InputError: no chart is found, the corners are in another order, a field is saturated or too small, or
             the chart is too dark.
     """
-    given = find_chart(picture, where) if corners is None else _check_corners(corners, picture.shape, where)
+    given = find_chart(picture, where) if corners is None else check_corners(corners, picture.shape, where)
     oriented, means, saturated = _best_orientation(picture, given, tone, where)
     calibration = _fit_matrix(means, saturated, oriented, where)
     if corners is not None and oriented.tolist() != given.tolist():
@@ -111,7 +111,8 @@ def chart_names() -> tuple[str, ...]:
     return tuple(read_spectra(COLOUR_CHECKER_FILE))
 
 
-def _check_corners(corners: ArrayLike, shape: tuple[int, ...], where: str | Path) -> Floats:
+def check_corners(corners: ArrayLike, shape: tuple[int, ...], where: str | Path) -> Floats:
+    """The corners `(4, 2)` if they are four points in order around an area inside the picture."""
     points, (height, width, *_) = np.asarray(corners, float), shape
     if points.shape != (4, 2) or not np.isfinite(points).all():
         problem = "must be four pairs of pixel coordinates x, y"
@@ -125,6 +126,11 @@ def _check_corners(corners: ArrayLike, shape: tuple[int, ...], where: str | Path
             return points
         problem = "must be in order around the chart"
     raise InputError(where, problem, key="corners", value=points.tolist())
+
+
+def orient_corners(picture: NDArray[np.uint8], corners: Floats, where: str | Path) -> Floats:
+    """The corners `(4, 2)` in the order in which the fields of an sRGB picture fit the chart best."""
+    return _best_orientation(picture, corners, "srgb", where)[0]
 
 
 def _best_orientation(

@@ -1,0 +1,5 @@
+"""Calibration of cameras from photographs of a ColorChecker or a grey card."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
