@@ -77,6 +77,7 @@ from .learning import TrainingOptions as TrainingOptions
 from .learning import evaluate as evaluate
 from .learning import evaluate_detector as evaluate_detector
 from .learning import predict as predict
+from .learning import predict_classes as predict_classes
 from .learning import with_shares as with_shares
 from .learning import write_evaluation as write_evaluation
 from .learning.models import Detections as Detections

@@ -4,6 +4,7 @@ from .evaluation.detection import DetectionEvaluation as DetectionEvaluation
 from .evaluation.detection import evaluate_detector as evaluate_detector
 from .evaluation.evaluate import Segmenter as Segmenter
 from .evaluation.evaluate import evaluate as evaluate
+from .evaluation.evaluate import predict_classes as predict_classes
 from .evaluation.evaluate import with_shares as with_shares
 from .evaluation.evaluation import Evaluation as Evaluation
 from .evaluation.page import EvaluationFiles as EvaluationFiles
