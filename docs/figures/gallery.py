@@ -3,7 +3,7 @@
 pepperscene build season --out out/season --frames 0:40 --outputs colour
 python docs/figures/gallery.py out/season docs/images/gallery_season.jpg
 
-The data set of `randomised` has drafts of eight frames of each of sixteen sets, as the page's command builds them.
+The data set of `randomised` is that of the page's command: drafts of eight frames of each of sixteen sets.
 The sheet of cucumbers is from the frames that the page's command builds.
 """
 

@@ -272,6 +272,9 @@ RECORDS = {
     "review/report/scene_view.py",  # as in bop
     "building/viewpoints/table.py",  # metadata of a table
     "learning/experiments/run.py",
+    "learning/evaluation/outlines.py",
+    "learning/model_card.py",
+    "learning/models/onnx_export.py",
     "learning/models/trained_model.py",
     "learning/training/run.py",
     "render/doctor.py",

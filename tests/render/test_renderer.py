@@ -271,7 +271,7 @@ def test_modules_are_imported_only_when_needed():
 
 def test_raises_on_unknown_outputs_and_qualities_and_missing_partners(used):
     for outputs in (["depth"], ["colour", "Class"], []):
-        with pytest.raises(InputError, match="colour, raw, electrons, class"):
+        with pytest.raises(InputError, match="colour, photo, raw, electrons, class"):
             used.render(camera(), outputs)
     for name in ("stereo", "colour_stereo"):
         with pytest.raises(InputError, match=f"partners: stereo: .*{name}"):

@@ -1,3 +1,3 @@
 from .options import CalibrationOptions as CalibrationOptions
-from .run import ChartCalibration as ChartCalibration
+from .result import ChartCalibration as ChartCalibration
 from .run import calibrate as calibrate

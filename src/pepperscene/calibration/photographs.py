@@ -49,7 +49,8 @@ class JpegSettings:
         from PIL import Image
 
         settings = {"jpeg_quality": self.quality, "jpeg_subsampling": self.subsampling}
-        return np.array(Image.open(io.BytesIO(jpeg_bytes(picture, settings))).convert("RGB"))
+        compressed = io.BytesIO(jpeg_bytes(picture, settings))
+        return np.array(Image.open(compressed, formats=("JPEG",)).convert("RGB"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +168,13 @@ def jpeg_settings(path: Path) -> JpegSettings | None:
 
     The quality is that of the Independent JPEG Group whose table of luma is nearest.
     """
-    from PIL import Image, JpegImagePlugin
+    from PIL import Image, JpegImagePlugin, UnidentifiedImageError
 
-    with open_file(path, "image") as file, Image.open(file) as image:
-        tables, sampling = getattr(image, "quantization", None), JpegImagePlugin.get_sampling(image)
+    try:
+        with open_file(path, "image") as file, Image.open(file, formats=("JPEG",)) as image:
+            tables, sampling = getattr(image, "quantization", None), JpegImagePlugin.get_sampling(image)
+    except UnidentifiedImageError:
+        return None
     if not tables or sampling not in _SAMPLINGS:
         return None
     found, standard = sum(tables[0]), np.array(_LUMA_TABLE)

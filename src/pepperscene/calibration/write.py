@@ -17,7 +17,7 @@ from pepperscene.atomic import check_can_write, remove, write_files
 from pepperscene.calibration.edges import FREQUENCIES
 from pepperscene.calibration.model import sensor_gains, tone_points
 from pepperscene.calibration.options import CalibrationOptions
-from pepperscene.calibration.run import ChartCalibration
+from pepperscene.calibration.result import ChartCalibration
 from pepperscene.camera import Camera
 from pepperscene.colour.patches.chart import chart_names
 from pepperscene.errors import ArgumentError

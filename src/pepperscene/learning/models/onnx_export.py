@@ -153,13 +153,13 @@ def _metadata(model: TrainedModel, size: tuple[int, int]) -> dict[str, str]:
 
     Factors multiply the probabilities of pixels before the largest is chosen (`Decision`).
     """
-    decision = model.decision
+    factors = [1.0] * len(model.classes) if model.decision is None else list(model.decision.factors)
     return {
         "task": model.task,
-        "classes": json.dumps(list(model.classes.names)),
+        "classes": json.dumps(list(model.classes.names), allow_nan=False),
         "organs": str(model.classes),
-        "colours": json.dumps(model.classes.colours.tolist()),
-        "factors": json.dumps([1.0] * len(model.classes) if decision is None else list(decision.factors)),
+        "colours": json.dumps(model.classes.colours.tolist(), allow_nan=False),
+        "factors": json.dumps(factors, allow_nan=False),
         "input": "sRGB, channels red, green, blue; 8-bit values divided by 255",
         "height": str(size[0]),
         "width": str(size[1]),

@@ -140,7 +140,7 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
     from pepperscene.learning.training.checkpoint import STATE_FILE, check_record
 
     # A killed training can leave temporary files, which are removed later.
-    names = set(visible_names(folder))
+    names = set(visible_names(folder)) - {CARD_FILE}
     if not names:
         return
     if not names & {STATE_FILE, MODEL_FILE}:
