@@ -308,7 +308,7 @@ def fruit_segmenter() -> Image.Image:
     """A photograph, and in orange the fruit that the network of the tutorial finds in it."""
     picture = np.asarray(Image.open(ROOT / "docs" / "photos" / "img9.png").convert("RGB"))
     model = ps.load_model(ROOT / "out" / "fruit" / "model")
-    fruit = model.probabilities(picture).argmax(axis=0) == model.classes.names.index("fruit")
+    fruit = ps.predict_classes(model, picture) == model.classes.names.index("fruit")
     found = picture.astype(float)
     found[fruit] = 0.4 * found[fruit] + 0.6 * np.array([255, 120, 0])
     image = white()
@@ -555,7 +555,7 @@ def learn() -> Image.Image:
     others = images.take([position for position in range(len(images)) if position != shown])
     if not (CACHE / "model" / "model.safetensors").exists():
         ps.train([others], CACHE / "model", ps.TrainingOptions(steps=300, batch=4), resume=True)
-    predicted = ps.load_model(CACHE / "model").probabilities(images[shown].colour).argmax(axis=0)
+    predicted = ps.predict_classes(ps.load_model(CACHE / "model"), images[shown].colour)
     image = white()
     for left, picture in ((0, photograph()), (121, ps.class_colour(predicted.astype(np.uint8)))):
         image.paste(fill(picture, (119, 160)), (left, 0))

@@ -70,7 +70,8 @@ def differences(first, second):
     return delta_e_2000(*(linear_srgb_to_lab(decode_tone(255.0 * codes)) for codes in (first, second)))
 
 
-def check_closed_loop(camera, folder, recipe):
+def closed_loop(camera, folder, recipe):
+    """The calibration of a chart, and what its recipe shows against the camera: differences and ratios."""
     picture, corners = photographed_chart(replace(camera, quality=None), SHAPE, pitch=90.0)
     chart = folder / "chart.jpg"
     chart.write_bytes(jpeg(picture, camera.quality or 98))
@@ -99,20 +100,27 @@ def check_closed_loop(camera, folder, recipe):
         mtf.append(chart_sharpness(photograph, response.inverse_tone(seen / 255.0)).mtf50)
     noise = [chart_noise(photograph).mean()[0] for photograph in (ours, theirs)]
     chroma = [np.hypot(*deviations[1:]) for deviations in noise]
-    figures = {
+    return calibration, {
         "chart": np.median(of_chart), "natural": np.median(natural), "mtf": mtf[0] / mtf[1],
         "luma": noise[0][0] / noise[1][0], "chroma": chroma[0] / chroma[1],
     }  # fmt: skip
+
+
+def check_colours_and_sharpness(figures):
     assert max(figures["chart"], figures["natural"]) <= 1.5, figures
     assert figures["mtf"] == pytest.approx(1.0, abs=0.1), figures
+
+
+def check_noise(figures):
     assert figures["luma"] == pytest.approx(1.0, abs=0.15), figures
     assert figures["chroma"] == pytest.approx(1.0, abs=0.15), figures
-    return calibration
 
 
 @pytest.mark.slow
 def test_the_written_recipe_is_like_a_plain_camera(recipe, tmp_path):
-    calibration = check_closed_loop(CAMERAS["plain"], tmp_path, recipe)
+    calibration, figures = closed_loop(CAMERAS["plain"], tmp_path, recipe)
+    check_colours_and_sharpness(figures)
+    check_noise(figures)
     assert [path.name for path in calibration.files] == ["camera.toml", "camera_tone.csv", "camera.html"]
     page = (tmp_path / "camera.html").read_text(encoding="utf-8")
     assert "<script" not in page
@@ -120,23 +128,31 @@ def test_the_written_recipe_is_like_a_plain_camera(recipe, tmp_path):
     assert page.count("<svg") == 2 * 24
 
 
-JPEG_NOISE = pytest.mark.xfail(reason="luma noise after JPEG of quality 85 is 22 % low, the rest agrees")
-SHARP_NOISE = pytest.mark.xfail(reason="chroma noise is 16 % high, the rest agrees")
+@pytest.fixture(scope="module", params=[name for name in CAMERAS if name != "plain"])
+def looped(request, recipe, tmp_path_factory):
+    """Name and figures of a camera."""
+    return request.param, closed_loop(CAMERAS[request.param], tmp_path_factory.mktemp("loop"), recipe)[1]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "name",
-    [
-        "webcam",
-        pytest.param("dull", marks=JPEG_NOISE),
-        "dark corners",
-        pytest.param("sharpened", marks=SHARP_NOISE),
-        "smoothed",
-    ],
-)
-def test_the_written_recipe_is_like_the_camera(name, recipe, tmp_path):
-    check_closed_loop(CAMERAS[name], tmp_path, recipe)
+def test_the_written_recipe_has_the_colours_and_the_sharpness_of_the_camera(looped):
+    check_colours_and_sharpness(looped[1])
+
+
+MISSED = {"dull": "luma noise after JPEG of quality 85 is 22 % low", "sharpened": "chroma noise is 16 % high"}
+"""Cameras whose noise is known to be missed, and by how much."""
+
+
+@pytest.mark.long
+def test_the_written_recipe_has_the_noise_of_the_camera(looped):
+    name, figures = looped
+    if name not in MISSED:
+        check_noise(figures)
+        return
+    # Fails as soon as the noise is met, so that it is then asked for.
+    with pytest.raises(AssertionError):
+        check_noise(figures)
+    pytest.xfail(MISSED[name])
 
 
 def test_jpeg_settings_are_those_of_the_file(tmp_path):

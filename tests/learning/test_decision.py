@@ -171,6 +171,9 @@ def test_named_shares_leave_the_others_in_proportion():
     ]
     assert sums == sorted(sums)
     np.testing.assert_allclose(sums[1], model.probabilities(colour)[1].sum(), rtol=1e-5)
+    # A second call replaces the first.
+    again = with_shares(with_shares(model, {"fruit": 0.3}), {"fruit": 0.01})
+    assert again.decision == with_shares(model, {"fruit": 0.01}).decision
     for shares, problem in (
         ({"leaf": 0.1}, "leaf is none of"),
         ({"fruit": 0.9, "peduncle": 0.2}, "sum to 1"),
@@ -271,5 +274,8 @@ def test_the_command_line_takes_shares_and_folders(tmp_path):
         result = run("p3", "--prior", prior)
         assert result.exit_code == EXIT_BAD_INPUT
         assert message in result.stderr
+    result = run("p3", "--score", "0.5")
+    assert result.exit_code == EXIT_BAD_INPUT
+    assert "score: applies to the objects of a detector" in result.stderr
     assert not (tmp_path / "p3").exists()
     assert json.loads((tmp_path / "p0" / "classes.json").read_text())

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from pepperscene.atomic import check_can_write, remove, write_files
@@ -26,7 +25,7 @@ from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.review.report.colours import jpeg_data_uri
-from pepperscene.review.report.page import csp_hash
+from pepperscene.review.report.page import html_environment
 from pepperscene.tuning.report import format_with_sd, toml_text
 from pepperscene.tuning.write import reference
 from pepperscene.units import file_values
@@ -136,14 +135,7 @@ def _with_sd(values: Any, sd: Any, what: str = "") -> str:
 
 def _page(calibration: ChartCalibration, name: str, names: str) -> str:
     """The page as HTML."""
-    environment = Environment(
-        loader=PackageLoader("pepperscene.calibration"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    environment.filters["csp_hash"] = csp_hash
+    environment = html_environment("pepperscene.calibration")
     model, differences = calibration.model, calibration.delta_e
     fields, pictures, summary = [], [], ""
     if model is not None:

@@ -183,6 +183,10 @@ class ModelUse:
             raise ArgumentError(where, error.problem, key=error.key, value=error.value) from None
         if self.factory is not None and is_built_in(network.model):
             raise ArgumentError("factory", f"does not apply to {network.model}, a model of this package")
+        if self.score is not None and network.task != "detect":
+            raise ArgumentError(
+                "score", "applies to the objects of a detector, and the model has classes of pixels"
+            )
         if self.prior is not None:
             network = self._with_prior(network, self.prior)
         return network if self.least_area == 0 else network.with_least_area(self.least_area)

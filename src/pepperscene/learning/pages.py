@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS, IGNORE_COLOUR
 from pepperscene.learning.class_table import ClassTable
-from pepperscene.review.report.page import csp_hash
+from pepperscene.review.report.page import html_environment
 
 
 @dataclass(frozen=True)
@@ -37,14 +36,7 @@ class ImagePanels:
 
 def render_page(template: str, title: str, **context: Any) -> str:
     """A complete page of a template with a title."""
-    environment = Environment(
-        loader=PackageLoader("pepperscene.learning"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    environment.filters["csp_hash"] = csp_hash
+    environment = html_environment("pepperscene.learning")
     style = Markup(environment.get_template("page.css").render())
     return environment.get_template(template).render(title=title, style=style, **context)
 

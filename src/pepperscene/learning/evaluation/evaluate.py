@@ -146,6 +146,9 @@ def with_shares(
     merging = table.merging(model.classes)
     if model.decision is None:
         raise InputError("model", "does not know the shares of its classes in the training; train it again")
+    # Shares of an earlier call do not count: the estimate starts from those of the training.
+    model = replace(model, decision=replace(model.decision, shares=None))
+    assert model.decision is not None
     frequencies = merging @ np.array(model.decision.frequencies)
     if isinstance(shares, Mapping):
         wanted = _named_shares(shares, table, frequencies)

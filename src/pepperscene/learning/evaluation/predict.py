@@ -91,8 +91,9 @@ def predict(
     table = model.classes if classes is None else classes
     merging = None if classes is None else classes.merging(model.classes)
     readers = _collect_readers(sources, half)
-    detects = isinstance(model, TrainedModel) and model.task == "detect"
-    objects = ObjectWriter(model, table, least_score) if detects else None  # type: ignore[arg-type]
+    objects = None
+    if isinstance(model, TrainedModel) and model.task == "detect":
+        objects = ObjectWriter(model, table, least_score)
 
     # Values and colours of the classes.
     values = class_values(table)

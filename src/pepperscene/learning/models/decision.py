@@ -25,7 +25,9 @@ FACTORS: Final = tuple(float(item) for item in np.geomspace(0.5, 16.0, 11))
 """Tried by `fit_factors`. Chosen: from a probability of 2/3 to one of 1/17, in steps of the root of two."""
 
 _MOST_ROUNDS: Final = 4  # chosen: factors hardly depend on each other
-_LEAST: Final = 1e-6  # chosen: least share of a class, so that none is excluded for ever
+_LEAST_SHARE: Final = 1e-6  # chosen: of a class, so that none is excluded in all later steps
+_LEAST_PROBABILITY: Final = 1e-6  # chosen: of a pixel's class, so that one wrong pixel does not decide
+_LEAST_GAIN: Final = 1e-6  # chosen: of the mean IoU, below which factors stay as they are
 _MOST_STEPS: Final = 500  # chosen: of expectation and maximisation; most sets take some dozens
 _CHANGE: Final = 1e-7  # chosen: change of the shares at which the steps end
 
@@ -45,10 +47,10 @@ class DecisionDescription(Document):
 class Decision:
     """How logits become probabilities of the network's k classes.
 
-    A loss with weights w teaches the probabilities of a world where class c is w_c times as frequent
-    as in the training images. The weights are taken back here (Menon et al. 2021, Eq. 9), and where the
+    A loss with weights w teaches a network the probabilities of images in which class c is w_c times as
+    frequent as in those of its training. The weights are taken back here (Menon et al. 2021), and where the
     shares of the classes in a user's images are known or estimated, probabilities are those for these images
-    (Saerens et al. 2002, Eq. 2.4).
+    (Saerens et al. 2002).
 
     Attributes:
         weights: `(k,)` of the classes in the loss.
@@ -59,7 +61,7 @@ class Decision:
             probability on: see `fit_factors`.
         shares: `(k,)` shares of the classes in the images that are predicted; None for the frequencies.
         least_area: pixels of the smallest connected regions of fruit and peduncles that are kept; smaller
-            ones get the most probable of the other classes. Masks by hand lack what nobody notices.
+            ones get the most probable of the other classes. People who draw masks leave small regions out.
     """
 
     weights: tuple[float, ...]
@@ -96,10 +98,10 @@ class Decision:
         """
         before = np.array(self.frequencies)
         merged = merging @ before
-        wanted = np.asarray(shares, float) / np.sum(shares) * max(merged.sum(), _LEAST)
+        wanted = np.asarray(shares, float) / np.sum(shares) * max(merged.sum(), _LEAST_SHARE)
         # Classes that belong to no merged one keep their frequency.
         ratios = np.where(merging.any(axis=0), merging.T @ _ratios(wanted, merged), 1.0)
-        return replace(self, shares=tuple((np.maximum(before, _LEAST) * ratios).tolist()))
+        return replace(self, shares=tuple((np.maximum(before, _LEAST_SHARE) * ratios).tolist()))
 
 
 def estimate_shares(probabilities: NDArray[np.floating], frequencies: Floats) -> Floats:
@@ -114,10 +116,10 @@ def estimate_shares(probabilities: NDArray[np.floating], frequencies: Floats) ->
     """
     if not len(probabilities):
         raise ArgumentError("prior", "must be images with at least one pixel")
-    likelihood = np.asarray(probabilities, np.float64) / np.maximum(frequencies, _LEAST)
+    likelihood = np.asarray(probabilities, np.float64) / np.maximum(frequencies, _LEAST_SHARE)
     shares = np.asarray(frequencies / frequencies.sum())
     for _ in range(_MOST_STEPS):
-        joint = likelihood * np.maximum(shares, _LEAST)
+        joint = likelihood * np.maximum(shares, _LEAST_SHARE)
         updated = (joint / joint.sum(axis=1, keepdims=True)).mean(axis=0)
         change, shares = np.abs(updated - shares).max(), updated
         if change < _CHANGE:
@@ -144,7 +146,7 @@ def fit_temperature(
     def entropy(log_temperature: float) -> float:
         merged = softmax(logits / np.exp(log_temperature) + shift, axis=1) @ merging.T
         # No pixel counts as more than certain to be wrong.
-        return float(-np.log(np.maximum(merged[rows, labels], _LEAST)).mean())
+        return float(-np.log(np.maximum(merged[rows, labels], _LEAST_PROBABILITY)).mean())
 
     bounds = tuple(np.log(TEMPERATURES))
     return float(np.exp(minimize_scalar(entropy, bounds=bounds, method="bounded").x))
@@ -176,7 +178,7 @@ def fit_factors(probabilities: NDArray[np.floating], labels: NDArray[np.integer]
             for factor in FACTORS:
                 tried = factors.copy()
                 tried[index] = factor
-                if (found := mean_iou(tried)) > best + _LEAST:
+                if (found := mean_iou(tried)) > best + _LEAST_GAIN:
                     best, factors = found, tried
         if (factors == before).all():
             break
@@ -186,4 +188,4 @@ def fit_factors(probabilities: NDArray[np.floating], labels: NDArray[np.integer]
 def _ratios(shares: Floats, frequencies: Floats) -> Floats:
     """Shares over frequencies; 1 for a class that the training did not have."""
     known = frequencies > 0
-    return np.where(known, np.maximum(shares, _LEAST) / np.where(known, frequencies, 1.0), 1.0)
+    return np.where(known, np.maximum(shares, _LEAST_SHARE) / np.where(known, frequencies, 1.0), 1.0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.errors import InputError
+from pepperscene.review.report.data import evenly_spaced
 
 Colours = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -40,7 +41,7 @@ def match_histogram(image: Colours, photo: Colours) -> Floats:
 def match_transport(image: Colours, photo: Colours) -> Floats:
     """Mean and covariance of sRGB as in the photograph, by the linear map that moves colours least.
 
-    It is the optimal transport between normal distributions (Pitié and Kokaram 2007, Eq. 15).
+    It is the optimal transport between normal distributions (Pitié and Kokaram 2007).
     """
     from scipy.linalg import sqrtm
 
@@ -73,8 +74,7 @@ class ColourMatching:
         self._match = MATCHES[kind]
         self._photos: list[Colours] = []
         for images in photos:
-            positions = np.unique(np.linspace(0, len(images) - 1, _MOST_PHOTOS).round().astype(int))
-            for image in images.select("colour").take(positions.tolist()):
+            for image in images.select("colour").take(evenly_spaced(len(images), _MOST_PHOTOS)):
                 if image.colour is None:
                     raise InputError(images.name, f"{image.name} has no colours to match")
                 step = max(1, image.size[1] // _WIDTH)

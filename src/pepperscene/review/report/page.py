@@ -10,7 +10,7 @@ from importlib import resources
 from typing import Any, Final
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from pepperscene.classes import CLASS_COLOURS, OrganClass
@@ -24,17 +24,23 @@ def render(template: str, /, **context: Any) -> str:
     return _environment().get_template(template).render(context)
 
 
-@lru_cache(maxsize=1)
-def _environment() -> Environment:
+def html_environment(package: str) -> Environment:
+    """Templates of a package, which escape all texts and may extend `base.html` of this one."""
     environment = Environment(
-        loader=PackageLoader(_PACKAGE),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader(_PACKAGE)]),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    filters = {"percent": format_percent, "plural": plural, "csp_hash": csp_hash, "css": _css, "code": _code}
-    environment.filters.update(filters)
+    environment.filters["csp_hash"] = csp_hash
+    return environment
+
+
+@lru_cache(maxsize=1)
+def _environment() -> Environment:
+    environment = html_environment(_PACKAGE)
+    environment.filters.update(percent=format_percent, plural=plural, css=_css, code=_code)
     environment.globals["classes"] = tuple(OrganClass)
     return environment
 
