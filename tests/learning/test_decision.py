@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from skimage.morphology import dilation, disk
 from toy_models import image_set
 from typer.testing import CliRunner
 
@@ -190,17 +191,18 @@ def test_rejects_texts_that_are_no_shares(text):
         parse_shares(text)
 
 
+class Painted(torch.nn.Module):
+    """Logits of fruit and peduncle from red and blue."""
+
+    def __init__(self):
+        super().__init__()
+        self.none = torch.nn.Parameter(torch.zeros(1))
+
+    def forward(self, images):
+        return torch.cat([torch.full_like(images[:, :1], 0.5), images[:, :1], images[:, 2:]], dim=1) * 20
+
+
 def test_small_regions_of_fruit_get_the_other_class():
-    class Painted(torch.nn.Module):
-        """Logits of fruit and peduncle from red and blue."""
-
-        def __init__(self):
-            super().__init__()
-            self.none = torch.nn.Parameter(torch.zeros(1))
-
-        def forward(self, images):
-            return torch.cat([torch.full_like(images[:, :1], 0.5), images[:, :1], images[:, 2:]], dim=1) * 20
-
     colour = np.zeros((20, 30, 3), np.uint8)
     colour[2:6, 2:7, 0] = 255  # 20 pixels of fruit
     colour[6:8, 4, 2] = 255  # and 2 of its peduncle
@@ -209,13 +211,31 @@ def test_small_regions_of_fruit_get_the_other_class():
     model = TrainedModel(Painted(), "small", FRUIT)
     np.testing.assert_array_equal(predict_classes(model, colour), expected)
     for least, left in ((15, expected), (16, np.where(np.arange(20)[:, None] < 10, expected, 0)), (23, 0)):
-        found = predict_classes(model.with_least_area(least), colour)
+        found = predict_classes(model.with_regions(least), colour)
         np.testing.assert_array_equal(found, np.broadcast_to(left, found.shape))
     # Without another class, nothing can be left out.
     objects = ClassTable.parse("pepper,peduncle")
     merging = objects.merging(FRUIT)
-    kept = predict_classes(model.with_least_area(99), colour, merging)
+    kept = predict_classes(model.with_regions(99), colour, merging)
     np.testing.assert_array_equal(kept, predict_classes(model, colour, merging))
+
+
+@pytest.mark.parametrize("pixels", [1, 2, 5])
+def test_regions_of_fruit_grow_by_a_distance(pixels):
+    colour = np.zeros((40, 50, 3), np.uint8)
+    colour[8:15, 10:22, 0] = 255
+    colour[30, 40, 0] = 255
+    model = TrainedModel(Painted(), "small", FRUIT)
+    grown = predict_classes(model.with_regions(grown_px=pixels), colour)
+    np.testing.assert_array_equal(grown == 1, dilation(colour[..., 0] > 0, disk(pixels)))
+    # Small regions are left out before.
+    largest = predict_classes(model.with_regions(least_area=2, grown_px=pixels), colour)
+    np.testing.assert_array_equal(largest, np.where(np.arange(40)[:, None] < 25, grown, 0))
+    assert not predict_classes(model.with_regions(least_area=99, grown_px=pixels), colour).any()
+    # Each pixel gets the class of the nearest one.
+    colour[5:8, 15, 2] = 255
+    grown = predict_classes(model.with_regions(grown_px=pixels), colour)
+    assert (grown[5 - pixels : 6, 15] == 2).all()
 
 
 def painted(count, share, seed):

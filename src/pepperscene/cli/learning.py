@@ -122,6 +122,7 @@ class ModelUse:
         allow_code: whether it may be called.
         classes: text of the classes that the model's are merged to.
         least_area: pixels of the smallest regions of fruit and peduncles that are kept.
+        grow: distance in pixels by which these regions are enlarged.
         prior: shares of classes in the images, or images in which they are estimated.
     """
 
@@ -156,6 +157,10 @@ class ModelUse:
             "Least pixels of a region of fruit and peduncles; smaller ones are left out.", "PX", minimum=0
         ),
     ] = 0
+    grow: Annotated[
+        int,
+        Option("Pixels by which regions of fruit and peduncles are enlarged.", "PX", minimum=0, maximum=50),
+    ] = 0
     prior: Annotated[
         str | None,
         Option(
@@ -189,7 +194,7 @@ class ModelUse:
             )
         if self.prior is not None:
             network = self._with_prior(network, self.prior)
-        return network if self.least_area == 0 else network.with_least_area(self.least_area)
+        return network.with_regions(self.least_area, self.grow) if self.least_area or self.grow else network
 
     def _with_prior(self, network: TrainedModel, prior: str) -> TrainedModel:
         """The network for images with other shares of classes."""

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
+from scipy.ndimage import distance_transform_edt, label
 
 from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.colour.comparison.bootstrap import bootstrap_weights
@@ -68,7 +68,7 @@ def predict_classes(
     """
     classes = np.empty(colour.shape[:2], np.uint8)
     decision = model.decision if isinstance(model, TrainedModel) else None
-    least_area = 0 if decision is None else decision.least_area
+    least_area, grown_px = (0, 0) if decision is None else (decision.least_area, decision.grown_px)
     is_object = _object_classes(model.classes, merging)
     others = np.zeros_like(classes)
     for (rows, columns), probabilities in _probability_parts(model, colour):
@@ -91,7 +91,18 @@ def predict_classes(
         # Region 0 is what belongs to no object.
         small[0] = False
         np.copyto(classes, others, where=small[regions])
+    if grown_px:
+        _grow(classes, is_object, grown_px)
     return classes
+
+
+def _grow(classes: NDArray[np.uint8], is_object: NDArray[np.bool_], pixels: int) -> None:
+    """Give pixels within a distance of a region of fruit or peduncles the class of its nearest pixel."""
+    outside = ~is_object[classes]
+    # Without a region, there is no nearest pixel.
+    if not outside.all():
+        distance, nearest = distance_transform_edt(outside, return_indices=True)
+        np.copyto(classes, classes[tuple(nearest)], where=distance <= pixels)
 
 
 def _object_classes(table: ClassTable, merging: NDArray[np.float32] | None) -> NDArray[np.bool_]:

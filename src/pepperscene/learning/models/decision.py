@@ -62,6 +62,8 @@ class Decision:
         shares: `(k,)` shares of the classes in the images that are predicted; None for the frequencies.
         least_area: pixels of the smallest connected regions of fruit and peduncles that are kept; smaller
             ones get the most probable of the other classes. People who draw masks leave small regions out.
+        grown_px: distance by which regions of fruit and peduncles are enlarged afterwards. Networks of
+            rendered images are less certain in photographs, first at the borders of what they find.
     """
 
     weights: tuple[float, ...]
@@ -70,6 +72,7 @@ class Decision:
     factors: tuple[float, ...] = ()
     shares: tuple[float, ...] | None = None
     least_area: int = 0
+    grown_px: int = 0
 
     def __post_init__(self) -> None:
         if not self.factors:

@@ -110,8 +110,8 @@ class TrainedModel:
             )
             return self.decide(enlarged)[0].float().cpu().numpy()
 
-    def with_least_area(self, pixels: int) -> Self:
-        """The same network, whose regions of fruit and peduncles have at least so many pixels (`Decision`).
+    def with_regions(self, least_area: int = 0, grown_px: int = 0) -> Self:
+        """The same network, with another size of its regions of fruit and peduncles (`Decision`).
 
         Raises:
             ArgumentError: the model is a detector.
@@ -119,7 +119,7 @@ class TrainedModel:
         self.check_task("segment")
         count = len(self.classes)
         decision = self.decision or Decision((1.0,) * count, (1.0 / count,) * count)
-        return replace(self, decision=replace(decision, least_area=pixels))
+        return replace(self, decision=replace(decision, least_area=least_area, grown_px=grown_px))
 
     def decide(self, logits: torch.Tensor) -> torch.Tensor:
         """Probabilities `(..., k, h, w)` of logits of that shape."""
