@@ -12,7 +12,8 @@ from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 
-from pepperscene.learning.training.loop import SegmentationLoss, class_frequencies, class_weights  # noqa: E402
+from pepperscene.learning.training.loop import class_frequencies, class_weights  # noqa: E402
+from pepperscene.learning.training.segmentation_loss import SegmentationLoss, overlap_loss  # noqa: E402
 
 ORGANS = ClassTable.organs()
 FRUIT = ClassTable.parse(FRUIT_CLASSES)
@@ -108,6 +109,54 @@ def test_logits_of_half_precision_are_computed_in_single_precision():
     loss, expected = (loss_of(FRUIT, one, truth, weights) for one in (rounded, rounded.float()))
     assert loss.dtype == torch.float32
     assert float(loss) == pytest.approx(float(expected), rel=1e-6)
+
+
+# --- overlap of classes -----------------------------------------------------------------------------------
+
+
+def one_hot(labels, count):
+    return np.moveaxis(np.eye(count, dtype=np.float32)[np.minimum(labels, count - 1)], -1, 1).copy()
+
+
+def test_overlap_loss_of_certain_predictions_is_one_minus_the_mean_iou():
+    _, truth, _ = batch(FRUIT, seed=1, shape=(2, 9, 11))
+    predicted = np.where(np.random.default_rng(2).random(truth.shape) < 0.6, truth, 1)
+    predicted[predicted == IGNORE_CLASS] = 0
+    known = truth != IGNORE_CLASS
+    iou = [
+        (known & (truth == k) & (predicted == k)).sum() / (known & ((truth == k) | (predicted == k))).sum()
+        for k in range(3)
+    ]
+    loss = overlap_loss(torch.as_tensor(one_hot(predicted, 3)), torch.as_tensor(truth))
+    assert float(loss) == pytest.approx(1 - np.mean(iou), abs=1e-6)
+    # A class that does not occur does not count.
+    truth[truth == 2] = IGNORE_CLASS
+    assert float(overlap_loss(torch.as_tensor(one_hot(np.minimum(truth, 2), 3)), torch.as_tensor(truth))) == 0
+
+
+def test_overlap_loss_has_the_gradient_of_finite_differences_and_none_at_void_pixels():
+    logits, truth, _ = batch(FRUIT, seed=4)
+    tensor = torch.tensor(logits[:, :3], dtype=torch.float64, requires_grad=True)
+    labels = torch.as_tensor(truth)
+    assert torch.autograd.gradcheck(lambda x: overlap_loss(x.softmax(dim=1), labels), tensor)
+    overlap_loss(tensor.softmax(dim=1), labels).backward()
+    assert not np.moveaxis(tensor.grad.numpy(), 1, -1)[truth == IGNORE_CLASS].any()
+    void = torch.full_like(labels, IGNORE_CLASS)
+    tensor.grad = None
+    overlap_loss(tensor.softmax(dim=1), void).backward()
+    assert not tensor.grad.any()
+
+
+@TABLES
+def test_overlap_is_added_to_the_cross_entropy(labels):
+    logits, truth, weights = batch(labels, shape=(2, 6, 8))
+    plain = loss_of(labels, logits, truth, weights)
+    both = SegmentationLoss(labels, ORGANS, weights, 0.5)(torch.as_tensor(logits), torch.as_tensor(truth))
+    probabilities = np.exp(logits)
+    sums = np.stack([probabilities[:, list(ids)].sum(axis=1) for ids in labels.members], axis=1)
+    seen = torch.as_tensor((sums / sums.sum(axis=1, keepdims=True))[..., ::2, ::2])
+    expected = float(plain) + 0.5 * float(overlap_loss(seen, torch.as_tensor(truth[:, ::2, ::2])))
+    assert float(both) == pytest.approx(expected, rel=1e-5)
 
 
 # --- weights of classes -----------------------------------------------------------------------------------

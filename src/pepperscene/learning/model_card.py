@@ -17,8 +17,8 @@ from pepperscene.version import __version__
 CARD_FILE: Final = "model_card.md"
 
 _SHOWN_OPTIONS: Final = (
-    "model", "steps", "batch", "size", "width", "learning_rate", "schedule", "balance", "least_area",
-    "augmentation", "seed", "precision",
+    "model", "steps", "batch", "size", "width", "learning_rate", "schedule", "balance", "lovasz",
+    "least_area", "augmentation", "seed", "precision",
 )  # fmt: skip
 
 

@@ -27,21 +27,22 @@ class ModelDefaults:
     learning_rate: float
     schedule: str
     balance: float
+    lovasz: float
 
 
 MODELS: Final[Mapping[str, ModelDefaults]] = MappingProxyType(
     {
         # Chosen: 16,000 crops take less than half an hour on two cores.
-        "small": ModelDefaults(2000, 8, 2e-3, "cosine", 0.5),
+        "small": ModelDefaults(2000, 8, 2e-3, "cosine", 0.5, 1.0),
         # Chosen: as `small`, at half the rate, so that weights learned on photographs change little.
-        "efficientnet_lite0": ModelDefaults(2000, 8, 1e-3, "cosine", 0.5),
+        "efficientnet_lite0": ModelDefaults(2000, 8, 1e-3, "cosine", 0.5, 1.0),
         # Section 2.8 of the paper.
-        "deeplab_vgg16": ModelDefaults(30_000, 10, 5e-5, "constant", 0.0),
+        "deeplab_vgg16": ModelDefaults(30_000, 10, 5e-5, "constant", 0.0, 0.0),
     }
 )
 """Models of this package by name."""
 
-_OTHER: Final = ModelDefaults(2000, 8, 1e-3, "cosine", 0.5)
+_OTHER: Final = ModelDefaults(2000, 8, 1e-3, "cosine", 0.5, 1.0)
 """Training of a model of the user's, unless options say otherwise. Chosen: as `small`, at half the rate."""
 
 
@@ -96,6 +97,8 @@ class TrainingOptions:
         schedule: of the learning rate: "constant", or "cosine": a warm-up of a twentieth of the steps, then
             half a cosine down to zero.
         balance: the loss weights a class by its frequency to the power of minus this; not that of a detector.
+        lovasz: factor of the Lovász-Softmax loss, which is added to the cross-entropy, for a greater IoU of
+            rare classes; not that of a detector.
         least_area: least pixels of an object, in images of `width`; smaller ones count neither for nor
             against a detector, because a person would not label them.
         matching: key of `colour_matching.MATCHES`, by which colours come near to those of photographs.
@@ -148,6 +151,10 @@ class TrainingOptions:
     ] = None
     balance: Annotated[
         float | None, Option("0 weights all pixels alike, 1 all classes.", "F", minimum=0, maximum=1)
+    ] = None
+    lovasz: Annotated[
+        float | None,
+        Option("Part of the loss that is the overlap of classes.", "F", minimum=0, maximum=100),
     ] = None
     least_area: Annotated[
         int, Option("Pixels below which an object is ignored (detect), at the width.", "PX", minimum=1)
@@ -234,7 +241,7 @@ class ExperimentOptions:
     training: Annotated[
         TrainingOptions,
         NestedOptions(
-            omitted=("task", "classes", "schedule", "balance", "least_area", "seed", "matching"),
+            omitted=("task", "classes", "schedule", "balance", "lovasz", "least_area", "seed", "matching"),
             names={"size": "crop"},
             help={
                 "model": "Model of the networks, as for `train`.",

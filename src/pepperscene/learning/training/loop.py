@@ -1,4 +1,4 @@
-"""The steps of a training, and its loss, also where labels are coarser than the network's classes."""
+"""The steps of a training, and its validation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import softmax
 from torch import nn
-from torch.nn import functional
 
 from pepperscene.atomic import remove_temporary_files, write_file
 from pepperscene.classes import IGNORE_CLASS
@@ -35,6 +34,7 @@ from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, 
 from pepperscene.learning.training.colour_matching import ColourMatching
 from pepperscene.learning.training.detection_loss import DetectionLoss
 from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
+from pepperscene.learning.training.segmentation_loss import SegmentationLoss
 from pepperscene.review.report.data import evenly_spaced
 from pepperscene.user_files import read_file
 
@@ -58,41 +58,6 @@ _CALIBRATED: Final = 32
 """Images in which temperature and factors are fitted. Chosen: some hundred sampled pixels of rare classes."""
 
 _LEAST_PROBABILITY: Final = 1e-12  # chosen: of a class of which the network is certain that it is not there
-
-
-@final
-class SegmentationLoss(nn.Module):
-    """Cross-entropy of labels, whose classes may be mergers of the network's.
-
-    The probability of a merged class is the sum of its members' probabilities, so a network keeps apart what
-    labels do not distinguish.
-
-    Args:
-        labels: classes of the labels.
-        outputs: classes of the network; `labels` merges them.
-        weights: `(len(labels),)` of the classes.
-    """
-
-    def __init__(self, labels: ClassTable, outputs: ClassTable, weights: NDArray[np.float64]) -> None:
-        super().__init__()
-        merging = labels.merging(outputs)
-        self._members: list[list[int]] = [np.flatnonzero(line).tolist() for line in merging]
-        self._is_plain = labels.members == outputs.members
-        self.register_buffer("weights", torch.tensor(weights, dtype=torch.float32), persistent=False)
-
-    def forward(self, logits: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
-        """Weighted mean over pixels, of logits `(n, k, h, w)` and labels `(n, h, w)` with 255 for void."""
-        logits = logits.float()
-        if not self._is_plain:
-            merged = [logits[:, members].logsumexp(dim=1) for members in self._members]
-            logits = torch.stack(merged, dim=1)
-        losses = functional.cross_entropy(
-            logits, labels, weight=self.weights, ignore_index=IGNORE_CLASS, reduction="sum"
-        )
-        labelled = labels != IGNORE_CLASS
-        total = self.weights[labels[labelled]].sum()
-        # A batch of void pixels alone has no loss, instead of nan.
-        return losses / total.clamp(min=1e-6)
 
 
 def class_frequencies(sets: Sequence[ImageSet], labels: ClassTable) -> NDArray[np.float64]:
@@ -170,7 +135,8 @@ class TrainingLoop:
             before = None if origin is None else origin.decision
             decision = _decision(labels, classes, weights, frequencies, before)
             self.trained = replace(trained, decision=decision)
-            self.loss = SegmentationLoss(labels, classes, weights).to(self.device)
+            loss = SegmentationLoss(labels, classes, weights, options.lovasz or 0.0)
+            self.loss = loss.to(self.device)
         assert options.learning_rate is not None
         self.optimiser = torch.optim.Adam(
             module.parameters(), lr=options.learning_rate, betas=_BETAS, eps=_EPSILON
