@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,6 +51,19 @@ def test_recipe_without_the_table_is_as_before(tmp_path):
     assert recipe.camera.developing.isp is None
     assert "isp" not in recipe.camera.developing.to_metadata()
     assert "isp" not in json.dumps(recipe.identity["recipe"])
+
+
+def test_none_leaves_out_the_processor_of_the_recipe_that_is_extended(tmp_path):
+    base, own = (
+        resolved(tmp_path, text, 'extends = "randomised"\nname = "own"\n')
+        for text in ("", '[developing]\nisp = "none"\n')
+    )
+    for index in (0, 3):
+        first, second = (FrameSetups(one).at(one.recipe.plan.frame(index)).camera for one in (base, own))
+        assert first.developing.isp is not None
+        # Nothing else differs: no number is drawn twice.
+        assert second.developing == replace(first.developing, isp=None)
+        assert second.sensor == first.sensor
 
 
 def test_preset_and_tone_curve_of_a_user_are_relative_to_their_file(tmp_path):

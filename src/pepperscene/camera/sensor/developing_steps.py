@@ -86,7 +86,7 @@ class Developing(Table):
     white_balance_error: Gains = (1.0, 1.0, 1.0)
     stray_light: Switch = False
     pedestal: Annotated[Pedestal, _PEDESTAL] = 0.0
-    isp: ImageProcessor | None = None
+    isp: Annotated[ImageProcessor | None, _NAMED_NONE] = None
     blur_px: Annotated[float, within(0, 20)] = 0.0
 
     def __post_init__(self) -> None:
