@@ -64,6 +64,8 @@ def test_none_leaves_out_the_processor_of_the_recipe_that_is_extended(tmp_path):
         # Nothing else differs: no number is drawn twice.
         assert second.developing == replace(first.developing, isp=None)
         assert second.sensor.name == first.sensor.name
+    with pytest.raises(InputError, match='must be a table, or "none"'):
+        resolved(tmp_path, '[developing]\nisp = "nono"\n')
 
 
 def test_preset_and_tone_curve_of_a_user_are_relative_to_their_file(tmp_path):

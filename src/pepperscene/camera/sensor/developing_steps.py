@@ -39,6 +39,13 @@ _MATRIX: Final = single_message("must be true, false, or three rows of three num
 _PEDESTAL: Final = single_message('must be "auto", or 0 to 0.25')
 
 
+def _processor_table(value: object) -> object:
+    """A table of `isp`, or None for its name; another text is no table."""
+    if isinstance(value, str) and value != NONE:
+        raise ValueError(f'must be a table, or "{NONE}"')
+    return None if value == NONE else value
+
+
 @dataclass(frozen=True)
 class Developing(Table):
     """The steps from the light in front of the lens to the image; each can be left out.
@@ -86,7 +93,7 @@ class Developing(Table):
     white_balance_error: Gains = (1.0, 1.0, 1.0)
     stray_light: Switch = False
     pedestal: Annotated[Pedestal, _PEDESTAL] = 0.0
-    isp: Annotated[ImageProcessor | None, _NAMED_NONE] = None
+    isp: Annotated[ImageProcessor | None, BeforeValidator(_processor_table)] = None
     blur_px: Annotated[float, within(0, 20)] = 0.0
 
     def __post_init__(self) -> None:

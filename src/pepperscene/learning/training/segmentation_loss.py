@@ -14,7 +14,7 @@ from pepperscene.classes import IGNORE_CLASS
 from pepperscene.learning.class_table import ClassTable
 
 _STEP: Final = 2
-"""Every second row and column count for the overlap. Chosen: sorting all pixels takes a quarter of a step."""
+"""Every second row and column count for the overlap. Chosen: it takes 2 % of a step; of all pixels, 24 %."""
 
 
 @final
