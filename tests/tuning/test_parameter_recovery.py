@@ -6,7 +6,8 @@ stated errors with true errors.
 Set-up: five parameters of a recipe are drawn at random, and their values from the priors. Patches of its
 organs are rendered at these values like images (see `simulate_patches`). The fit starts from the
 recipe's values. Its views have as many samples of light as the patches, because with fewer the spread of
-light within a view shifts by half of its standard deviation. Simulation and fit share the organs, and no random number of light and noise.
+light within a view shifts by half of its standard deviation. Simulation and fit share the organs, and no
+random number of light and noise.
 
 Expected: the median relative error of the entries is below 5 %, all patches are matched to less than one
 CIEDE2000, and errors are as large as the fit states.
