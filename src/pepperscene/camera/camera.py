@@ -21,8 +21,6 @@ from pepperscene.camera.pixel_rays import (
     check_field,
     corner_slopes,
     intrinsics_matrix,
-    pixel_slopes,
-    row_directions,
     slope_limits,
 )
 from pepperscene.camera.poses.generators import as_points
@@ -170,8 +168,6 @@ class Camera:
         with this lens and sensor. Those of some rows of corners, `(n, w + 1, 2)`, take no more memory than
         these if the image is large.
         """
-        if rows is None:
-            return pixel_slopes(self.lens, self._ray_sensor, 0.0)
         return corner_slopes(self.lens, self._ray_sensor, rows)
 
     def border_slopes(self) -> tuple[NDArray[np.float64], ...]:
@@ -190,14 +186,10 @@ class Camera:
 
         Those of some rows, `(n, w, 3)`, take no more memory than these if the image is large.
         """
-        if self.sensor.line_scan:
-            line = centre_directions(self.lens, self._ray_sensor)
-            return np.broadcast_to(line, (self.height, *line.shape[1:]))[
-                slice(None) if rows is None else rows
-            ]
-        if rows is None:
-            return centre_directions(self.lens, self.sensor)
-        return row_directions(self.lens, self.sensor, rows)
+        if not self.sensor.line_scan:
+            return centre_directions(self.lens, self.sensor, rows)
+        line = centre_directions(self.lens, self._ray_sensor)
+        return np.broadcast_to(line, (self.height, *line.shape[1:]))[rows or slice(None)]
 
     def project(self, points_world: ArrayLike) -> NDArray[np.float64]:
         """Pixel coordinates (u, v), `(n, 2)`, of world points `(n, 3)`, inside the image or not.

@@ -20,9 +20,8 @@ from pepperscene.camera.image.colorimetry import (
 )
 from pepperscene.camera.image.electrons import relative_illumination
 from pepperscene.camera.image.tone_curves import apply_tone
-from pepperscene.camera.isp.linear_steps import correct_shading, displace_red_and_blue, saturate
-from pepperscene.camera.isp.local_steps import apply_local_steps
 from pepperscene.camera.isp.processor import ImageProcessor
+from pepperscene.camera.isp.steps import apply_local_steps, correct_shading, displace_red_and_blue, saturate
 from pepperscene.camera.sensor.developing_steps import LARGEST_PEDESTAL, Tone
 from pepperscene.camera.sensor.readout import Floats, colour_strips, mosaic_strips
 from pepperscene.camera.sensor.rows import row_strips

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
-import os
-import secrets
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from pepperscene.atomic import atomic_write
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.pose_files.projects import colmap_texts, nerfstudio_text, read_colmap, read_nerfstudio
 from pepperscene.camera.poses.generators import look_at
@@ -161,9 +160,8 @@ def csv_text(poses: PoseList) -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     columns = ["x_m", "y_m", "z_m", *_QUATERNION]
-    rows = [
-        text_of(row) for row in np.hstack([poses.poses[:, :3, 3], quaternions_of(poses.poses[:, :3, :3])])
-    ]
+    numbers = np.hstack([poses.poses[:, :3, 3], quaternions_of(poses.poses[:, :3, :3])])
+    rows = [text_of(row) for row in numbers]
     if poses.times_s is not None:
         columns = ["t_s", *columns]
         rows = [[time, *row] for time, row in zip(text_of(poses.times_s), rows, strict=True)]
@@ -344,22 +342,16 @@ def _format_of(path: Path, text: str) -> PoseFormat:
         return "csv"
     if path.name == "images.txt" or len(fields) >= 10:
         return "colmap"
-    if path.suffix.lower() == ".tum" or _is_number(fields[0]):
-        return "tum"
-    raise InputError(path, f"is not a file of camera poses; {_ALLOWED}")
-
-
-def _is_number(text: str) -> bool:
     try:
-        float(text)
+        if path.suffix.lower() != ".tum":
+            float(fields[0])
     except ValueError:
-        return False
-    return True
+        raise InputError(path, f"is not a file of camera poses; {_ALLOWED}") from None
+    return "tum"
 
 
 def _write(folder: Path, texts: Mapping[str, str], is_model: bool = False) -> None:
     """Write all files, or none: they are complete under temporary names before the first is renamed."""
-    temporary = {name: folder / f".{name}.{secrets.token_hex(8)}.tmp" for name in texts}
     # A single file is named in errors; the files of a model are not what the user has named.
     target = folder if is_model else folder / next(iter(texts))
     try:
@@ -367,17 +359,12 @@ def _write(folder: Path, texts: Mapping[str, str], is_model: bool = False) -> No
             folder.mkdir(parents=True, exist_ok=True)
             if found := [name for name in _MODEL_FILES if (folder / name).exists()]:
                 raise OutputError(f"{folder}: already has a COLMAP model ({found[0]}); choose another folder")
-        for name, text in texts.items():
-            temporary[name].write_text(text, encoding="utf-8", newline="\n")
-        for name in texts:
-            os.replace(temporary[name], folder / name)
+        with ExitStack() as files:
+            for name, text in texts.items():
+                temporary = files.enter_context(atomic_write(folder / name))
+                temporary.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from None
     except ValueError as error:
         # A path that no file system accepts.
         raise OutputError(f"{str(target)!r}: cannot be written ({error})") from None
-    finally:
-        for path in temporary.values():
-            # Where nothing could be written there is nothing to remove, and trying can fail again.
-            with contextlib.suppress(OSError, ValueError):
-                path.unlink(missing_ok=True)
