@@ -27,7 +27,7 @@ from pepperscene.camera import (
 from pepperscene.camera.optics.flash import FlashDocument
 from pepperscene.camera.optics.lens import LensDocument
 from pepperscene.camera.optics.projector import ProjectorDocument
-from pepperscene.camera.sensor.bands import band_curves, describe_bands
+from pepperscene.camera.sensor.bands import BandTable, band_curves, describe_bands
 from pepperscene.camera.sensor.sensor_files import FilterDocument, SensorDocument
 from pepperscene.errors import InputError
 from pepperscene.scene.cover import Cover, CoverDocument, load_cover
@@ -320,7 +320,7 @@ def load_bands(folder, changes):
 
 
 def test_gaussian_is_half_as_high_half_a_width_beside_its_centre():
-    curve = band_curves([700.0], [10.0], [0.6], ["gaussian"])
+    curve = band_curves([BandTable(centre_nm=700.0, width_nm=10.0, peak=0.6)])
     np.testing.assert_allclose(curve.at([695.0, 700.0, 705.0])[0], [0.3, 0.6, 0.3], rtol=1e-12)
     # The area of a Gaussian: peak x width x sqrt(pi / (4 ln 2)).
     assert curve.integral()[0] == pytest.approx(0.6 * 10.0 * np.sqrt(np.pi / np.log(16.0)), rel=1e-4)
@@ -328,7 +328,7 @@ def test_gaussian_is_half_as_high_half_a_width_beside_its_centre():
 
 @pytest.mark.parametrize("centre", [700.0, 700.1])
 def test_box_has_its_width_and_area(centre):
-    curve = band_curves([centre], [20.0], [0.5], ["box"])
+    curve = band_curves([BandTable(centre_nm=centre, width_nm=20.0, peak=0.5, shape="box")])
     assert curve.integral()[0] == pytest.approx(10.0, rel=1e-9)
     edges = curve.at([centre - 10.5, centre - 9.5, centre + 9.5, centre + 10.5])
     assert edges[0].tolist() == [0, 0.5, 0.5, 0]

@@ -13,9 +13,8 @@ from pepperscene.camera.lamps.lamp import POINT, EmitterShape, Lamp, ring
 from pepperscene.camera.lamps.photometric_files import ENDINGS, read_beam
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file
 from pepperscene.spectra import read_spectrum
-from pepperscene.spectra.files import CurveTable, SourcedDocument, curve_file, find_material, read_curve
+from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material, read_light
 
 _SIZE_MM: Final = 1e4  # chosen: as of a flash
 _WHITE: Final = ("light/cie_illuminants_colour_science", "led_b3")
@@ -101,13 +100,11 @@ class LampDocument(SourcedDocument):
 
     @model_validator(mode="after")
     def _check_consistency(self) -> LampDocument:
-        needed = {"point": (), "disc": ("radius_mm",), "ring": ("radius_mm", "inner_radius_mm")} | {
-            "panel": ("panel",),
-            "tube": ("length_mm",),
-        }
+        needed = {"disc": ("radius_mm",), "ring": ("radius_mm", "inner_radius_mm"), "panel": ("panel",)}
+        of_shape = (needed | {"tube": ("length_mm",)}).get(self.shape, ())
         for key in ("radius_mm", "inner_radius_mm", "length_mm", "panel"):
-            if (getattr(self, key) is not None) != (key in needed[self.shape]):
-                verb = "needs" if key in needed[self.shape] else "must not have"
+            if (getattr(self, key) is not None) != (key in of_shape):
+                verb = "needs" if key in of_shape else "must not have"
                 raise ValueError(f"a lamp of the shape {self.shape} {verb} {key}")
         if self.shape == "ring" and not (self.inner_radius_mm or 0) < (self.radius_mm or 0):
             raise ValueError("inner_radius_mm must be less than radius_mm")
@@ -145,24 +142,15 @@ def load_lamp(name_or_path: str | Path) -> Lamp:
         return Lamp(path.stem, spectrum, 1.0, beam).with_strength(flux_lm=beam.flux)
     path = find_material("lamps", name_or_path)
     document = validate(LampDocument, read_toml(path), path)
-    found = curve_file(path, document.spectrum.file)
-    spectrum = read_curve(
-        path, "spectrum", str(found) if is_file(found) else document.spectrum.file, document.spectrum.column
-    )
-    beam = _beam(path, document)
+    spectrum, beam = read_light(path, document.spectrum), _beam(path, document)
+    pulse_s = None if document.pulse_us is None else 1e-6 * document.pulse_us
     try:
         lamp = Lamp(
-            document.name,
-            spectrum,
-            document.flux_W or 1.0,
-            beam,
-            document.emitter(),
-            pulse_s=None if document.pulse_us is None else 1e-6 * document.pulse_us,
+            document.name, spectrum, document.flux_W or 1.0, beam, document.emitter(), pulse_s=pulse_s
         )
     except ValueError as error:
-        raise InputError(
-            path, f"does not fit: {error}", key="spectrum.column", value=document.spectrum.column
-        ) from None
+        key, column = "spectrum.column", document.spectrum.column
+        raise InputError(path, f"does not fit: {error}", key=key, value=column) from None
     if document.flux_W is not None:
         return lamp
     given = {key: getattr(document, key) for key in ("flux_lm", "ppf_umol_s", "illuminance_lx")}
