@@ -22,6 +22,7 @@ _WHITE: Final = ("light/cie_illuminants_colour_science", "led_b3")
 
 Size = Annotated[float, Field(gt=0, le=_SIZE_MM)]
 Strength = Annotated[float, Field(ge=1e-6, le=1e9)]
+BeamAngle = Annotated[float, Field(ge=0, le=180)]
 Elements = Annotated[int, Field(ge=1, le=100)]
 
 
@@ -30,9 +31,7 @@ class LampBeamTable(Document):
 
     kind: Literal["lambertian", "even"] | None = None
     file: Annotated[str, Field(min_length=1, max_length=400)] | None = None
-    angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=180)], ...], Field(max_length=1000)] | None = (
-        None
-    )
+    angle_deg: Annotated[tuple[BeamAngle, ...], Field(max_length=1000)] | None = None
     relative_intensity: tuple[Annotated[float, Field(ge=0, le=1e6)], ...] | None = None
 
     @model_validator(mode="after")
@@ -67,14 +66,9 @@ class PanelTable(Document):
 
     def shape(self) -> EmitterShape:
         """The same in metres."""
-        pitch, size = self.pitch_mm or (0.0, 0.0), self.size_mm or (0.0, self.radius_mm or 0.0)
-        return EmitterShape(
-            self.columns,
-            self.rows,
-            (1e-3 * pitch[0], 1e-3 * pitch[1]),
-            (1e-3 * size[0], 1e-3 * size[1]),
-            is_round=self.size_mm is None,
-        )
+        (right, down), (width, height) = self.pitch_mm or (0, 0), self.size_mm or (0, self.radius_mm or 0)
+        pitch_m, size_m = (1e-3 * right, 1e-3 * down), (1e-3 * width, 1e-3 * height)
+        return EmitterShape(self.columns, self.rows, pitch_m, size_m, is_round=self.size_mm is None)
 
 
 class LampDocument(SourcedDocument):

@@ -194,7 +194,7 @@ class FlashDocument(SourcedDocument):
 
     illuminance_lx: Strength | None = None
     irradiance_W_m2: Strength | None = None  # noqa: N815 (the unit is written so)
-    at_mm: Annotated[float, Field(ge=1, le=1e5)]  # chosen: photometers measure lamps within 100 m
+    at_mm: Annotated[float, Field(ge=1.0, le=1e5)]  # chosen: photometers measure lamps within 100 m
     # Chosen: nanoseconds (electric sparks) to a quarter of an hour (lamps that stay on).
     pulse_us: Annotated[float, Field(ge=1e-3, le=1e9)]
     radius_mm: Annotated[float, Field(ge=0, le=_FLASH_SIZE_MM)]

@@ -97,7 +97,7 @@ class StrayLight:
 
 Fraction = Annotated[float, Field(ge=0, le=_MOST_STRAY)]
 # Chosen: beyond it, a ghost spreads over a hundred times the image.
-Magnification = Annotated[float, Field(ge=-10, le=10)]
+Magnification = Annotated[float, Field(ge=-10.0, le=10.0)]
 Radius = Annotated[float, Field(ge=1e-3, le=1000)]  # chosen: from a pixel to more than any sensor
 
 
@@ -129,14 +129,10 @@ class StrayLightTable(Document):
 
     def stray_light(self) -> StrayLight:
         """The table in metres."""
-        ghosts = zip(self.ghost_magnification, self.ghost_radius_mm, self.ghost_fraction, strict=True)
-        return StrayLight(
-            self.scatter,
-            self.scatter_width_um * 1e-6,
-            self.scatter_exponent,
-            self.veil,
-            tuple(Ghost(scale, radius * 1e-3, fraction) for scale, radius, fraction in ghosts),
-        )
+        lists = zip(self.ghost_magnification, self.ghost_radius_mm, self.ghost_fraction, strict=True)
+        ghosts = tuple(Ghost(scale, radius * 1e-3, fraction) for scale, radius, fraction in lists)
+        width_m = self.scatter_width_um * 1e-6
+        return StrayLight(self.scatter, width_m, self.scatter_exponent, self.veil, ghosts)
 
 
 _MIN_ANGLE_STEP_RAD: Final = 1e-6  # chosen: no table is finer; a thousandth of what an instrument resolves
@@ -272,8 +268,8 @@ class DistortionTable(Document):
         allowed = MODELS[self.model]
         for name in sorted(self.model_fields_set - {"model"}):
             if name not in allowed:
-                names = ", ".join(allowed)
-                raise ValueError(f"{name} is not a coefficient of the model {self.model}, which has {names}")
+                model = f"the model {self.model}, which has {', '.join(allowed)}"
+                raise ValueError(f"{name} is not a coefficient of {model}")
         return self
 
     def distortion(self) -> DistortionModel:

@@ -197,7 +197,11 @@ def _read_table(path: Path, text: str) -> _Table:
             if not any(field.strip() for field in fields) or fields[0].startswith("#"):
                 continue
             if not columns:
-                columns = _columns([field.strip() for field in fields], path)
+                names = [field.strip() for field in fields]
+                if repeated := {name for name, count in Counter(names).items() if count > 1}:
+                    allowed = "must name each column once"
+                    raise InputError(path, allowed, key="header", value=min(repeated))
+                columns = {name: number for number, name in enumerate(names)}
                 continue
             if len(fields) != len(columns):
                 problem = f"must have {len(columns)} values, as many as the header, not {len(fields)}"
@@ -217,12 +221,6 @@ def _lines(path: Path, text: str) -> Iterator[str]:
         if len(line) > _LONGEST_LINE:
             raise InputError(path, f"is longer than {_LONGEST_LINE:,} characters", key=f"line {number}")
         yield line
-
-
-def _columns(names: list[str], path: Path) -> dict[str, int]:
-    if repeated := {name for name, count in Counter(names).items() if count > 1}:
-        raise InputError(path, "must name each column once", key="header", value=min(repeated))
-    return {name: i for i, name in enumerate(names)}
 
 
 def _coordinates(prefix: str, names: set[str], path: Path) -> tuple[list[str], float]:
@@ -303,17 +301,17 @@ def write_poses(path: str | Path, poses: PoseList, format: PoseFormat, camera: C
         ArgumentError: the format cannot hold the poses or the camera.
         OutputError: the file cannot be written, or the folder already has a COLMAP model.
     """
-    target = Path(path)
+    target, no_intrinsics = Path(path), {"tum": tum_text, "csv": csv_text}
     if format not in get_args(PoseFormat):
         raise ArgumentError("format", f"must be one of {', '.join(get_args(PoseFormat))}", value=format)
-    if camera is not None and format in ("tum", "csv"):
+    if camera is not None and format in no_intrinsics:
         raise ArgumentError("camera", f"must be None: the format {format} has no intrinsics")
     if format == "colmap":
         _write(target, colmap_texts(poses, camera), is_model=True)
-    elif format == "nerfstudio":
-        _write(target.parent, {target.name: nerfstudio_text(poses, camera)})
     else:
-        _write(target.parent, {target.name: tum_text(poses) if format == "tum" else csv_text(poses)})
+        write = no_intrinsics.get(format)
+        text = nerfstudio_text(poses, camera) if write is None else write(poses)
+        _write(target.parent, {target.name: text})
 
 
 def _file_in(path: Path) -> Path:

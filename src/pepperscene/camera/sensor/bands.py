@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from pepperscene.document import Document
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum
-from pepperscene.spectra.files import NonEmptyText, read_spectra
+from pepperscene.spectra.files import NonEmptyText, cell_error, read_spectra
 
 Array = NDArray[np.float64]
 BandShape = Literal["gaussian", "box"]
@@ -29,9 +29,9 @@ MOST_BANDS: Final = 1000
 """Chosen: line scanners have up to 950 (Headwall Hyperspec VNIR E series)."""
 DEFAULT_PEAK: Final = 0.5
 """Electrons per photon. Chosen: silicon behind a filter has 0.3 to 0.7 in its best range."""
-Centre = Annotated[float, Field(ge=200, le=2500)]
+Centre = Annotated[float, Field(ge=200.0, le=2500.0)]
 """Chosen from the deep ultraviolet; the optics of plants are known up to 2500 nm."""
-Width = Annotated[float, Field(ge=1, le=1000)]
+Width = Annotated[float, Field(ge=1.0, le=1000.0)]
 """Full width at half maximum. Chosen: light is traced on a grid of half nanometres, and the widest filters
 pass all that silicon detects."""
 Peak = Annotated[float, Field(ge=1e-6, le=1)]
@@ -141,17 +141,14 @@ BandTables = tuple[BandTable, ...] | RegularBandsTable | BandCurvesTable
 
 
 def read_bands(path: Path, tables: BandTables) -> tuple[Spectrum, tuple[str, ...]]:
-    """The responses `(c, n)` of the bands of a sensor file, and their names; "" for a band without one.
-
-    Raises:
-        InputError: a name occurs twice, or the CSV file is missing or invalid.
-    """
+    """The responses `(c, n)` of the bands of a sensor file, and their names; "" for a band without one."""
     if isinstance(tables, BandCurvesTable):
         return _read_curves(path, tables)
     if isinstance(tables, RegularBandsTable):
-        regular = {"width_nm": tables.width_nm, "peak": tables.peak, "shape": tables.shape}
+        width_nm, peak, shape = tables.width_nm, tables.peak, tables.shape
         centres = np.linspace(tables.first_nm, tables.last_nm, tables.count).tolist()
-        return band_curves([BandTable(centre_nm=centre, **regular) for centre in centres]), ()
+        bands = [BandTable(centre_nm=nm, width_nm=width_nm, peak=peak, shape=shape) for nm in centres]
+        return band_curves(bands), ()
     names = tuple(band.name or "" for band in tables)
     for number, name in enumerate(names):
         if name and name in names[:number]:
@@ -177,6 +174,5 @@ def _read_curves(path: Path, table: BandCurvesTable) -> tuple[Spectrum, tuple[st
         values = found[name].values
         if not (values.min() >= 0 and values.max() <= 1):
             row = int(np.argmax((values < 0) | (values > 1)))
-            key = f"row {row + 2}, column {name}"
-            raise InputError(file, "must be from 0 to 1", key=key, value=float(values[row]))
+            raise cell_error(file, row, name, values[row], "must be from 0 to 1")
     return Spectrum(nm, np.stack([found[name].values for name in names])), names
