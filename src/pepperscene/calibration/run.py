@@ -81,7 +81,7 @@ def _calibrated(files: Sequence[Path], camera: Camera, options: CalibrationOptio
     sharpness = chart_sharpness(first, response.inverse_tone(first.picture / 255.0), rng)
     transfer = chart_transfer(first, tuple(response.inverse_tone(codes) for codes in first.middles), rng)
     jpeg = jpeg_settings(files[0])
-    model = ChartModel(camera, first, response, 0, rgb, jpeg)
+    model = ChartModel(camera, first, response, rgb, jpeg)
     settings = fit_details(model, sharpness, noise, options.seed)
     seen = model.photograph(settings, rng)
     return ChartCalibration(

@@ -38,9 +38,9 @@ class DistortionModel(ABC):
             raise ValueError("distortion coefficients must be finite")
 
     @property
-    @abstractmethod
     def is_zero(self) -> bool:
         """Whether distorted slopes are the ideal ones."""
+        return False
 
     @property
     @abstractmethod
@@ -211,11 +211,6 @@ class FisheyeDistortion(DistortionModel):
     k2: float = 0.0
     k3: float = 0.0
     k4: float = 0.0
-
-    @property
-    def is_zero(self) -> bool:
-        """Whether distorted slopes are the ideal ones: never."""
-        return False
 
     @property
     def fold_radius(self) -> float:
