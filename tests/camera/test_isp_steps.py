@@ -24,7 +24,7 @@ from pepperscene.camera import (
     load_sensor,
     relative_illumination,
 )
-from pepperscene.camera.image.tone_curves import apply_tone, s_curve, tone_curve
+from pepperscene.camera.image.developing import apply_tone, s_curve, tone_curve
 from pepperscene.camera.isp.steps import (
     apply_local_steps,
     correct_shading,

@@ -136,7 +136,7 @@ def stray_light_factor(camera: Camera) -> float:
     if not camera.developing.stray_light:
         return 1.0
     dtype = "float64" if is_whole(camera.width, camera.height) else "float32"
-    transfer = _transfer(*_optics(camera), (camera.height, camera.width), dtype)
+    transfer = _transfer(_optics(camera), (camera.height, camera.width), dtype)
     return math.sqrt(np.vdot(transfer, transfer) / transfer.size)
 
 
@@ -172,7 +172,7 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating
     size = image.shape[0], image.shape[1]
     is_single = image.dtype == np.float32 and not is_whole(size[1], size[0])
     image = image if is_single else np.asarray(image, dtype=float)
-    transfer = _transfer(*_optics(camera), size, image.dtype.name)
+    transfer = _transfer(_optics(camera), size, image.dtype.name)
     result = image if is_single else np.empty_like(image)
     for channel in range(image.shape[-1]):
         plane = np.maximum(image[..., channel], image.dtype.type(0.0))
@@ -200,17 +200,12 @@ def _optics(camera: Camera) -> tuple[StrayLight, float, float, float]:
 
 @lru_cache(maxsize=2)
 def _transfer(
-    stray: StrayLight,
-    f_number: float,
-    pitch_m: float,
-    wavelength_m: float,
-    shape: tuple[int, int],
-    dtype: str = "float64",
+    optics: tuple[StrayLight, float, float, float], shape: tuple[int, int], dtype: str
 ) -> NDArray[np.floating]:
     """`(h, w)` factors on the image's cosine transform; read-only, and shared by all frames of a camera."""
     from scipy.fft import dctn
 
-    spread = point_spread(stray, f_number, pitch_m, wavelength_m, shape, dtype)
+    spread = point_spread(*optics, shape, dtype)
     factors = np.ascontiguousarray(dctn(spread, type=1, overwrite_x=True)[: shape[0], : shape[1]])
     factors.setflags(write=False)
     return factors
