@@ -6,13 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_cameras import (
-    HiddenCamera,
-    balanced,
-    chart_corners,
-    natural_reflectances,
-    photographed_chart,
-)
+from hidden_cameras import HiddenCamera, balanced, chart_corners, natural_reflectances, photographed_chart
 
 from pepperscene.calibration.photographs import ChartPhotograph, measure_chart
 from pepperscene.calibration.response import card_response, fit_response

@@ -24,13 +24,16 @@ from pepperscene.camera import (
     load_sensor,
     relative_illumination,
 )
-from pepperscene.camera.image.tone_curves import apply_tone, s_curve, tone_curve
-from pepperscene.camera.isp.linear_steps import correct_shading, displace_red_and_blue, resample, saturate
-from pepperscene.camera.isp.local_steps import (
+from pepperscene.camera.image.developing import apply_tone, s_curve, tone_curve
+from pepperscene.camera.isp.steps import (
     apply_local_steps,
+    correct_shading,
+    displace_red_and_blue,
     guided_filter,
     map_locally,
     reduce_noise,
+    resample,
+    saturate,
     sharpen,
 )
 from pepperscene.camera.sensor.rows import row_strips

@@ -91,9 +91,18 @@ def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
         read_poses(written(tmp_path / "b.txt", "0 0 0 0 0 0 0 1\n1 0 0 0 0.71 0 0 0.71\n"))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+UNIT = np.eye(4).tolist()
+TWICE, SCALED = (2 * np.eye(4))[:3].tolist(), np.diag([1, 1, 2, 1]).tolist()
+
+
+def identity_frame(**changes):
+    return {"frames": [{"file_path": "a", "transform_matrix": UNIT, **changes}]}
+
+
+FAR = identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]])
+QUATERNIONS = "x,y,z,qx,qy,qz,qw"
+NOT_ALLOWED = {
+    "poses.txt": [
         ("", "contains no poses"),
         ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 1\n", "line 2: must have 8 numbers"),
         ("0 0 nan 0 0 0 0 1\n", "line 1, ty = 'nan': must be a finite number"),
@@ -104,10 +113,55 @@ def test_rounded_quaternions_are_normalised_and_others_are_refused(tmp_path):
         ("2 0 0 0 0 0 0 1\n\n1 0 0 0 0 0 0 1\n", "line 3, time = 1.0: must be after"),
         ("hello world\n", "is not a file of camera poses; allowed are"),
     ],
+    "poses.csv": [
+        ("", "contains no poses"),
+        ("x,y,z\n0,0,0\n", "header: has no orientation; allowed are"),
+        (f"{QUATERNIONS},yaw_deg\n0,0,0,0,0,0,1,0\n", "header: has more than one kind of orientation"),
+        ("x,y,z,yaw_deg\n0,0,0,0\n", "header: lacks the column pitch_deg"),
+        ("x_m,y_m,z_mm,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "header: must have x, y and z in one unit"),
+        ("x,y,z,target_x_m,target_y_m\n0,0,0,0,0\n", "header: must have target_x, target_y and target_z"),
+        (f"{QUATERNIONS},speed\n0,0,0,0,0,0,1,2\n", "header = 'speed': has an unknown column"),
+        ("x,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "header = 'x': must name each column once"),
+        (f"{QUATERNIONS}\n0,0,0,0,0,1\n", "line 2: must have 7 values, as many as the header, not 6"),
+        (f"{QUATERNIONS}\n0,0,,0,0,0,1\n", "line 2, z = '': must be a finite number"),
+        (f"t_s,{QUATERNIONS}\n1,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n", "line 3, time = 1.0: must be after"),
+        (f"t_s,{QUATERNIONS}\n0,0,0,0,0,0,0,1\n1e308,0,0,0,0,0,0,1\n", r"line 3, time = 1e\+308: must be"),
+        (f"name,{QUATERNIONS}\n ,0,0,0,0,0,0,1\n", "line 2, name = '': must be a name"),
+        ("x,y,z,target_x,target_y,target_z\n0,0,0,0,0,1\n", "line 2: has a target that is not allowed: .*di"),
+    ],
+    "transforms.json": [
+        ("{", "is not valid JSON"),
+        ("[]", "frames: must be a list of frames, each with a transform_matrix"),
+        ({"frames": [{}]}, r"frames\[0\].transform_matrix: must have 4 rows of 4 numbers"),
+        (identity_frame(transform_matrix=np.ones((4, 4)).tolist()), ".*must have 4 rows"),
+        (identity_frame(transform_matrix=SCALED), ".*a rotation, without scale or refl"),
+        (identity_frame(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), ".*must contain a rotation"),
+        (identity_frame(transform_matrix=[[float("nan")] * 4] * 4), ".*= nan: must be a finite number"),
+        (identity_frame(transform_matrix=[["1", None, True, 0]] * 4), ".*must be a finite number"),
+        (identity_frame(file_path=3), r"frames\[0\].file_path = 3: must be a name"),
+        ({**identity_frame(), "applied_scale": 0}, "applied_scale = 0.0: must be positive"),
+        ({**identity_frame(), "applied_transform": TWICE}, "applied_transform: must contain a rotation"),
+        ({**identity_frame(), "applied_transform": 1}, "applied_transform: must have 4 rows"),
+        ({**FAR, "applied_scale": 1e-300, "applied_transform": UNIT}, ".*a position within 1,000,000 m"),
+    ],
+    "images.txt": [
+        ("1 1 0 0 0 0 0 0 1\n\n", "line 1: must have 10 fields, IMAGE_ID .* NAME, not 9"),
+        ("1 1 0 0 0 0 0 x 1 a.png\n\n", "line 1, TZ = 'x': must be a finite number"),
+        ("1 2 0 0 0 0 0 0 1 a.png\n\n", "line 1 = .*: must be a quaternion of length 1"),
+        (2 * "1 1 0 0 0 0 0 0 1 a.png\n\n", "line 3, NAME = 'a.png': must be a name of one image only"),
+        # A name of three words makes 12 fields, as many as four points.
+        (2 * "1 1 0 0 0 0 0 0 1 my image 1.png\n", "line 2: must be the points X Y POINT3D_ID"),
+        ("1 1 0 0 0 0 0 0 1 a\tb.png\n\n", r"line 1, NAME = 'a\\tb.png': must be a name of printable"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"), [(name, *case) for name, cases in NOT_ALLOWED.items() for case in cases]
 )
-def test_tum_files_that_are_not_allowed(text, message, tmp_path):
-    with pytest.raises(InputError, match=f"poses.txt: {message}"):
-        read_poses(written(tmp_path / "poses.txt", text))
+def test_files_that_are_not_allowed(name, text, message, tmp_path):
+    with pytest.raises(InputError, match=f"{name}: {message}"):
+        read_poses(written(tmp_path / name, text if isinstance(text, str) else json.dumps(text)))
 
 
 def test_more_than_100_000_poses_are_refused(tmp_path):
@@ -150,33 +204,6 @@ def test_csv_from_a_spreadsheet_is_read(tmp_path):
     poses = read_poses(file)
     assert poses.times_s.tolist() == [0.5, 1.5]
     np.testing.assert_array_equal(poses.poses[:, :3, 3], [[1, 2, 3]] * 2)
-
-
-QUATERNIONS = "x,y,z,qx,qy,qz,qw"
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "contains no poses"),
-        ("x,y,z\n0,0,0\n", "header: has no orientation; allowed are"),
-        (f"{QUATERNIONS},yaw_deg\n0,0,0,0,0,0,1,0\n", "header: has more than one kind of orientation"),
-        ("x,y,z,yaw_deg\n0,0,0,0\n", "header: lacks the column pitch_deg"),
-        ("x_m,y_m,z_mm,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "header: must have x, y and z in one unit"),
-        ("x,y,z,target_x_m,target_y_m\n0,0,0,0,0\n", "header: must have target_x, target_y and target_z"),
-        (f"{QUATERNIONS},speed\n0,0,0,0,0,0,1,2\n", "header = 'speed': has an unknown column"),
-        ("x,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "header = 'x': must name each column once"),
-        (f"{QUATERNIONS}\n0,0,0,0,0,1\n", "line 2: must have 7 values, as many as the header, not 6"),
-        (f"{QUATERNIONS}\n0,0,,0,0,0,1\n", "line 2, z = '': must be a finite number"),
-        (f"t_s,{QUATERNIONS}\n1,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n", "line 3, time = 1.0: must be after"),
-        (f"t_s,{QUATERNIONS}\n0,0,0,0,0,0,0,1\n1e308,0,0,0,0,0,0,1\n", r"line 3, time = 1e\+308: must be"),
-        (f"name,{QUATERNIONS}\n ,0,0,0,0,0,0,1\n", "line 2, name = '': must be a name"),
-        ("x,y,z,target_x,target_y,target_z\n0,0,0,0,0,1\n", "line 2: has a target that is not allowed: .*di"),
-    ],
-)
-def test_csv_files_that_are_not_allowed(text, message, tmp_path):
-    with pytest.raises(InputError, match=f"poses.csv: {message}"):
-        read_poses(written(tmp_path / "poses.csv", text))
 
 
 def test_nerfstudio_camera_axes_are_right_up_and_backwards(tmp_path):
@@ -229,43 +256,6 @@ def test_nerfstudio_intrinsics_are_those_of_the_camera(tmp_path):
     assert {key: content[key] for key in expected} == expected
 
 
-UNIT = np.eye(4).tolist()
-
-
-def identity_frame(**changes):
-    return {"frames": [{"file_path": "a", "transform_matrix": UNIT, **changes}]}
-
-
-FAR = identity_frame(transform_matrix=[[1, 0, 0, 1e300], *UNIT[1:]])
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("{", "is not valid JSON"),
-        ("[]", "frames: must be a list of frames, each with a transform_matrix"),
-        ({"frames": [{}]}, r"frames\[0\].transform_matrix: must have 4 rows of 4 numbers"),
-        (identity_frame(transform_matrix=np.ones((4, 4)).tolist()), "must have 4 rows"),
-        (
-            identity_frame(transform_matrix=np.diag([1, 1, 2, 1]).tolist()),
-            "a rotation, without scale or refl",
-        ),
-        (identity_frame(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), "must contain a rotation"),
-        (identity_frame(transform_matrix=[[float("nan")] * 4] * 4), "= nan: must be a finite number"),
-        (identity_frame(transform_matrix=[["1", None, True, 0]] * 4), "must be a finite number"),
-        (identity_frame(file_path=3), r"frames\[0\].file_path = 3: must be a name"),
-        ({**identity_frame(), "applied_scale": 0}, "applied_scale = 0.0: must be positive"),
-        ({**identity_frame(), "applied_transform": (2 * np.eye(4))[:3].tolist()}, "must contain a rotation"),
-        ({**identity_frame(), "applied_transform": 1}, "applied_transform: must have 4 rows"),
-        ({**FAR, "applied_scale": 1e-300, "applied_transform": UNIT}, "a position within 1,000,000 m"),
-    ],
-)
-def test_nerfstudio_files_that_are_not_allowed(content, message, tmp_path):
-    text = content if isinstance(content, str) else json.dumps(content)
-    with pytest.raises(InputError, match=f"transforms.json: .*{message}"):
-        read_poses(written(tmp_path / "transforms.json", text))
-
-
 def test_colmap_lines_are_world_to_camera_and_sorted_by_name(tmp_path):
     pose = look_at((0.5, -2, 1.5), (0.1, 0.3, 1.2))
     to_camera = np.linalg.inv(pose)
@@ -283,23 +273,6 @@ def test_colmap_lines_are_world_to_camera_and_sorted_by_name(tmp_path):
         assert poses.names == ("a.png", "b image.png")
         np.testing.assert_allclose(poses.poses[1], pose, atol=1e-12)
         np.testing.assert_allclose(poses.poses[0, :3, 3], [-1, -2, -3], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("1 1 0 0 0 0 0 0 1\n\n", "line 1: must have 10 fields, IMAGE_ID .* NAME, not 9"),
-        ("1 1 0 0 0 0 0 x 1 a.png\n\n", "line 1, TZ = 'x': must be a finite number"),
-        ("1 2 0 0 0 0 0 0 1 a.png\n\n", "line 1 = .*: must be a quaternion of length 1"),
-        (2 * "1 1 0 0 0 0 0 0 1 a.png\n\n", "line 3, NAME = 'a.png': must be a name of one image only"),
-        # A name of three words makes 12 fields, as many as four points.
-        (2 * "1 1 0 0 0 0 0 0 1 my image 1.png\n", "line 2: must be the points X Y POINT3D_ID"),
-        ("1 1 0 0 0 0 0 0 1 a\tb.png\n\n", r"line 1, NAME = 'a\\tb.png': must be a name of printable"),
-    ],
-)
-def test_colmap_files_that_are_not_allowed(text, message, tmp_path):
-    with pytest.raises(InputError, match=f"images.txt: {message}"):
-        read_poses(written(tmp_path / "images.txt", text))
 
 
 def test_colmap_itself_reads_the_same_poses_and_projects_to_the_same_pixels(tmp_path):

@@ -16,7 +16,7 @@ from PIL import Image
 from pepperscene import open_patches
 from pepperscene.building.execution.slurm import read_slurm_file
 from pepperscene.camera import Camera, load_filter, load_flash, load_lens, load_processor, load_sensor
-from pepperscene.camera.isp.processor_files import read_tone_curve
+from pepperscene.camera.isp.processor import read_tone_curve
 from pepperscene.cultivar import load_cultivar
 from pepperscene.cultivar.notation import Length
 from pepperscene.document import Document, read_toml, validate

@@ -235,13 +235,13 @@ def looking(direction, up=(0.0, 1.0, 0.0)):
     return pose
 
 
-def daylight():
+def daylight(illuminance_lx=20_000.0, sun_fraction=0.4):
     return partly_cloudy_sky(
         np.random.default_rng(3),
-        illuminance_lx=20_000.0,
+        illuminance_lx=illuminance_lx,
         sun_azimuth_rad=-1.2,
         sun_elevation_rad=0.9,
-        sun_fraction=0.4,
+        sun_fraction=sun_fraction,
         cloud_cover=0.5,
     )
 
@@ -286,9 +286,8 @@ def test_radiance_of_a_card_in_even_light():
 
 def test_measured_bands_have_the_noise_of_the_sensor():
     noisy = replace(band_camera(columns=64, rows=48), developing=Developing())
-    mesh = card(0.0, 0.0, 1.0, 1.0, "grey", DISTANCE_M)
-    scene = assemble_scene(mesh, {"grey": lambertian_surface("grey", 0.5)}, EVEN_SKY)
-    frame = Renderer(scene).render(noisy, ("electrons", "bands"), DIRECT)
+    grey = lambertian_surface("grey", 0.5)
+    frame = measured(noisy, grey, EVEN_SKY, WhiteReference(), ("electrons", "bands"))
     mean, sensor = frame["electrons"].astype(float), noisy.sensor
     variance = mean + sensor.read_noise_e**2 + sensor.gain_e_per_dn**2 / 12
     residual = (frame["bands"] - mean) / np.sqrt(variance)
@@ -312,16 +311,8 @@ def test_light_between_cards_is_part_of_the_measured_reflectance():
 
 @pytest.mark.parametrize(("illuminance_lx", "is_detected"), [(1e-6, False), (0.01, False), (2e4, True)])
 def test_reflectance_needs_a_signal_of_three_times_the_noise(illuminance_lx, is_detected):
-    sky = partly_cloudy_sky(
-        np.random.default_rng(3),
-        illuminance_lx=illuminance_lx,
-        sun_azimuth_rad=0.0,
-        sun_elevation_rad=0.9,
-        sun_fraction=0.0,
-        cloud_cover=0.5,
-    )
+    sky, panel = daylight(illuminance_lx, sun_fraction=0.0), WhiteReference(facing="up")
     camera = replace(band_camera(), developing=Developing())
-    panel = WhiteReference(facing="up")
     frame = measured(camera, lambertian_surface("grey", 0.5), sky, panel)
     assert np.isfinite(frame["reflectance"]).all() == is_detected
     assert ("bands_without_light" in frame.metadata["white_reference"]) == (not is_detected)

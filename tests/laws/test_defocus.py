@@ -4,19 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from bodies import EVEN_SKY, axis_camera, card
+from bodies import axis_camera, knife_edge
 
-from pepperscene.materials import lambertian_surface
 from pepperscene.render import Renderer
-from pepperscene.scene import assemble_scene
 
 WIDTH = 64  # columns of the cropped image, whose middle is on the axis
-
-
-def knife_edge(z: float):
-    """A black half-plane (x > 0) at distance z in front of a uniform sky."""
-    blade = card(1.0, 0.0, 2.0, 4.0, "black", z)
-    return assemble_scene(blade, {"black": lambertian_surface("black", 0.0)}, EVEN_SKY)
 
 
 def camera_focused_at(focus_m: float | None):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import EVEN_SKY, axis_camera, card, even_lamp, sheet
+from bodies import EVEN_SKY, axis_camera, card, even_lamp, knife_edge, sheet
 
 from pepperscene.camera import AngularProfile, Camera, Flash, Motion
 from pepperscene.geometry import concatenate_meshes
@@ -20,12 +20,6 @@ DEPTH_M = 0.5
 OURS = Quality(256, 256, 256, 0, target=None, denoise=False)
 PATHS = replace(OURS, samples=512, soft=512, most=512, bounces=0, integrator="path")
 NM = np.array([300.0, 1100.0])
-
-
-def knife_edge():
-    """A black half-plane (x > 0) in front of a uniform sky."""
-    blade = card(1.0, 0.0, 2.0, 4.0, "black", DEPTH_M)
-    return assemble_scene(blade, {"black": lambertian_surface("black", 0.0)}, EVEN_SKY)
 
 
 def white_edge(sky_lx: float | None = 5500.0):
@@ -90,7 +84,7 @@ def test_an_edge_is_smeared_by_speed_times_exposure_times_focal_length_over_dist
     view = camera((8.0, 0.0, 0.0))
     expected = 8.0 * 3e-3 * view.intrinsics[0, 0] / DEPTH_M
     assert 10 < expected < 40
-    profile = electrons(knife_edge(), view, quality).mean(axis=0)
+    profile = electrons(knife_edge(DEPTH_M), view, quality).mean(axis=0)
     assert ramp_width(profile) == pytest.approx(expected, rel=0.02)
     # Straight between its ends.
     x = np.arange(COLUMNS) + 0.5 - COLUMNS / 2
@@ -103,7 +97,7 @@ def test_an_edge_is_smeared_by_speed_times_exposure_times_focal_length_over_dist
 
 def test_rolling_about_the_axis_smears_in_proportion_to_the_distance_from_it():
     view = camera(spin=(0.0, 0.0, 60.0), rows=192)
-    image = electrons(knife_edge(), view)
+    image = electrons(knife_edge(DEPTH_M), view)
     for first in (0, 16, 160, 176):
         distance = np.abs(np.arange(first, first + 16) + 0.5 - 96)
         # The edge turns by the angle about the centre: tan(angle / 2) to both sides. The mean over 16 rows,
@@ -116,13 +110,13 @@ def test_rolling_about_the_axis_smears_in_proportion_to_the_distance_from_it():
 def test_a_rolling_shutter_leans_a_vertical_edge():
     # Exposed briefly, so that there is no blur: one row sees the edge f v t / z further than the last.
     view = camera((5.0, 0.0, 0.0), exposure_s=2e-5, line_time_s=1e-4, rows=64)
-    columns = edge_columns(electrons(knife_edge(), view))
+    columns = edge_columns(electrons(knife_edge(DEPTH_M), view))
     slope = np.polyfit(np.arange(64), columns, 1)[0]
     expected = -5.0 * 1e-4 * view.intrinsics[0, 0] / DEPTH_M
     assert slope == pytest.approx(expected, rel=0.02)
     assert abs(expected) * 64 > 20
     # The labels lean as the image does, and cross the axis in the middle of the image.
-    labels = Renderer(knife_edge()).render(view, ["class"])["class"]
+    labels = Renderer(knife_edge(DEPTH_M)).render(view, ["class"])["class"]
     assert np.abs((labels == 0).sum(axis=1) - columns).max() < 1.0
     assert columns.mean() == pytest.approx(COLUMNS / 2, abs=0.1)
 

@@ -12,8 +12,8 @@ import trimesh
 from pepperscene.camera import AngularProfile, Camera, Flash, Sensor, load_flash, load_lens, load_sensor
 from pepperscene.classes import Appearance, Instance, OrganClass
 from pepperscene.geometry import Mesh
-from pepperscene.materials import Surface
-from pepperscene.scene import uniform_sky
+from pepperscene.materials import Surface, lambertian_surface
+from pepperscene.scene import Scene, assemble_scene, uniform_sky
 from pepperscene.shipped import shipped_folder
 from pepperscene.spectra import Spectrum
 
@@ -56,6 +56,12 @@ def card(x: float, y: float, width: float, height: float, surface: str, z: float
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2, height / 2)
     flat = trimesh.Trimesh(np.pad(corners, ((0, 0), (0, 1))), [[0, 2, 1], [0, 3, 2]], process=False)
     return body(flat, surface).moved(np.eye(3), np.array([x, y, z]))
+
+
+def knife_edge(z: float) -> Scene:
+    """A black half-plane (x > 0) at distance z in front of a uniform sky."""
+    blade = card(1.0, 0.0, 2.0, 4.0, "black", z)
+    return assemble_scene(blade, {"black": lambertian_surface("black", 0.0)}, EVEN_SKY)
 
 
 def sphere(centre: tuple[float, float, float], radius: float, surface: str, subdivisions: int = 5) -> Mesh:

@@ -75,20 +75,19 @@ def sensor_gains(camera: Camera, response: CameraResponse) -> Floats:
 
 
 class ChartModel:
-    """The chart at a photograph's pose, seen by the recipe's camera with any settings."""
+    """The chart at the pose of a response's first photograph, seen by the recipe's camera."""
 
     def __init__(
         self,
         camera: Camera,
         photograph: ChartPhotograph,
         response: CameraResponse,
-        number: int,
         rgb: Floats,
         jpeg: JpegSettings | None,
     ) -> None:
         self._response, self._jpeg, self._name = response, jpeg, photograph.name
         self.corners, (height, width) = _model_pose(photograph.corners)
-        light = float(response.exposures[number] * response.illumination(photograph.place, number).mean())
+        light = float(response.exposures[0] * response.illumination(photograph.place, 0).mean())
         gains = sensor_gains(camera, response)
         table = light * rgb * response.gains / gains
         around = light * _SURROUNDINGS * response.gains / gains

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.calibration.photographs import ChartPhotograph
+from pepperscene.camera.sensor.readout import block_means
 
 Floats = NDArray[np.float64]
 
@@ -111,10 +112,8 @@ def _variances(values: Floats) -> Floats:
     flat = _without_trend(values)
     result = []
     for scale in SCALES:
-        side = len(flat) // scale
-        means = flat[: side * scale, : side * scale]
-        means = means.reshape(side, scale, side, scale, -1).mean(axis=(1, 3))
-        square = means**2
+        square = block_means(flat, scale) ** 2
+        side = len(square)
         edges = np.linspace(0, side, _TILES + 1).astype(int)
         parts = [
             square[top:bottom, left:right].mean(axis=(0, 1))

@@ -77,11 +77,6 @@ class ChartPhotograph:
     place: Floats
     middles: tuple[Floats, ...]
 
-    @property
-    def is_chart(self) -> bool:
-        """Whether it shows a ColorChecker."""
-        return len(self.fields) == FIELDS and bool((self.fields >= 0).all())
-
 
 def read_chart(path: Path, corners: ArrayLike | None = None) -> ChartPhotograph:
     """Read a photograph of a ColorChecker, turned as its EXIF orientation says.
@@ -118,10 +113,8 @@ def measure_chart(picture: NDArray[np.uint8], corners: Floats, where: str | Path
     )
     photograph = _measured(picture, corners, np.arange(FIELDS), middles, centres, where)
     if (white := float(photograph.codes[18].max())) < _MIN_WHITE:
-        problem = (
-            f"is too dark: its white field has the code {255.0 * white:.0f}, minimum {255 * _MIN_WHITE:g}"
-        )
-        raise InputError(where, problem, key="chart")
+        code = f"its white field has the code {255.0 * white:.0f}, minimum {255 * _MIN_WHITE:g}"
+        raise InputError(where, f"is too dark: {code}", key="chart")
     if (used := int(photograph.usable.all(axis=1).sum())) < _MIN_USED:
         problem = f"has {FIELDS - used} of {FIELDS} fields with codes at 0 or 255: change the exposure"
         raise InputError(where, problem, key="chart")
@@ -145,10 +138,8 @@ def read_card(path: Path, box: tuple[float, ...]) -> ChartPhotograph:
         size = f"{picture.shape[1]}x{picture.shape[0]} pixels"
         raise ArgumentError("grey_card", f"must be inside {path}, {size}, not {left},{top},{width},{height}")
     if min(width, height) < _CARD_PARTS * _MIN_SIDE_PX:
-        raise ArgumentError(
-            "grey_card",
-            f"must be at least {_CARD_PARTS * _MIN_SIDE_PX} pixels wide and high, not {width}x{height}",
-        )
+        least = f"must be at least {_CARD_PARTS * _MIN_SIDE_PX} pixels wide and high"
+        raise ArgumentError("grey_card", f"{least}, not {width}x{height}")
     # Parts of equal size; what remains at the right and the bottom is left out.
     step_x, step_y = width // _CARD_PARTS, height // _CARD_PARTS
     side = min(step_x, step_y)

@@ -12,19 +12,11 @@ from pepperscene.calibration.edges import chart_sharpness
 from pepperscene.calibration.model import ChartModel, fit_details
 from pepperscene.calibration.noise import chart_noise, chart_transfer
 from pepperscene.calibration.options import CalibrationOptions
-from pepperscene.calibration.photographs import (
-    jpeg_settings,
-    read_card,
-    read_chart,
-)
+from pepperscene.calibration.photographs import jpeg_settings, read_card, read_chart
 from pepperscene.calibration.response import card_response, fit_response
 from pepperscene.calibration.result import ChartCalibration
 from pepperscene.camera import Camera
-from pepperscene.camera.image.colorimetry import (
-    NM,
-    balanced_rgb,
-    colour_checker_reflectances,
-)
+from pepperscene.camera.image.colorimetry import NM, balanced_rgb, colour_checker_reflectances
 from pepperscene.camera.image.developing import reference_correction, reference_light
 from pepperscene.errors import ArgumentError, InputError
 
@@ -89,7 +81,7 @@ def _calibrated(files: Sequence[Path], camera: Camera, options: CalibrationOptio
     sharpness = chart_sharpness(first, response.inverse_tone(first.picture / 255.0), rng)
     transfer = chart_transfer(first, tuple(response.inverse_tone(codes) for codes in first.middles), rng)
     jpeg = jpeg_settings(files[0])
-    model = ChartModel(camera, first, response, 0, rgb, jpeg)
+    model = ChartModel(camera, first, response, rgb, jpeg)
     settings = fit_details(model, sharpness, noise, options.seed)
     seen = model.photograph(settings, rng)
     return ChartCalibration(

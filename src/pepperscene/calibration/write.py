@@ -6,6 +6,7 @@ import base64
 import io
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, Final
 
@@ -69,10 +70,7 @@ def write_calibration(
     tables: dict[str, Any] = {"extends": reference(options.recipe, "recipes", path.parent), "name": path.stem}
     for key, value in changes.items():
         *above, last = key.split(".")
-        table = tables
-        for name in above:
-            table = table.setdefault(name, {})
-        table[last] = value
+        reduce(lambda table, name: table.setdefault(name, {}), above, tables)[last] = value
     names = ", ".join(photograph.name for photograph in calibration.photographs)
     head = f"A camera, calibrated by {names}.\nValues with their standard deviations; the page is {page}."
     files = {page: _page(calibration, path.stem, names).encode()}
@@ -134,7 +132,6 @@ def _with_sd(values: Any, sd: Any, what: str = "") -> str:
 
 
 def _page(calibration: ChartCalibration, name: str, names: str) -> str:
-    """The page as HTML."""
     environment = html_environment("pepperscene.calibration")
     model, differences = calibration.model, calibration.delta_e
     fields, pictures, summary = [], [], ""
@@ -171,18 +168,13 @@ def calibration_values(calibration: ChartCalibration) -> Iterator[tuple[str, str
     for row, name in enumerate(("red", "green", "blue") if settings is not None else ()):
         yield f"matrix, {name}", _with_sd(response.matrix[row], response.sd["matrix"][row])
     yield "white diffuser, of full scale", _with_sd(response.exposures, response.sd["exposures"])
-    yield (
-        "light at the corners, relative to the middle",
-        _with_sd(1.0 + response.vignetting, response.sd["vignetting"]),
-    )
-    for sharpness, name in ((calibration.sharpness, "photograph"), (calibration.model_sharpness, "model")):
-        if sharpness is not None:
-            value = (
-                format_with_sd(sharpness.mtf50, sharpness.mtf50_sd)
-                if name == "photograph"
-                else f"{sharpness.mtf50:.3f}"
-            )
-            yield f"MTF50 of the {name}, cycles per pixel", value
+    corners = _with_sd(1.0 + response.vignetting, response.sd["vignetting"])
+    yield "light at the corners, relative to the middle", corners
+    if (sharpness := calibration.sharpness) is not None:
+        value = format_with_sd(sharpness.mtf50, sharpness.mtf50_sd)
+        yield "MTF50 of the photograph, cycles per pixel", value
+    if (sharpness := calibration.model_sharpness) is not None:
+        yield "MTF50 of the model, cycles per pixel", f"{sharpness.mtf50:.3f}"
     if calibration.sharpness is None and settings is not None:
         yield "MTF50", "not measured: turn the chart by about five degrees against the edges of the picture"
     for noise, name in ((calibration.noise, "photograph"), (calibration.model_noise, "model")):
@@ -191,12 +183,9 @@ def calibration_values(calibration: ChartCalibration) -> Iterator[tuple[str, str
             sd = f" ± {luma * noise.relative_sd:.2f}" if noise.relative_sd else ""
             text = f"{luma:.2f}{sd}, {chroma[0]:.2f} and {chroma[1]:.2f}"
             yield f"noise of luma and both chromas of the {name}, in codes", text
-    if calibration.transfer is not None:
-        transfer = calibration.transfer
-        yield (
-            "photon transfer: variance of green per linear value",
-            format_with_sd(transfer.slope, transfer.slope_sd),
-        )
+    if (transfer := calibration.transfer) is not None:
+        slope = format_with_sd(transfer.slope, transfer.slope_sd)
+        yield "photon transfer: variance of green per linear value", slope
 
 
 def _figure(calibration: ChartCalibration) -> str:
@@ -216,9 +205,8 @@ def _figure(calibration: ChartCalibration) -> str:
     transfer.set(title="modulation transfer", xlabel="cycles per pixel", ylim=(0.0, None))
     for curve, name in ((calibration.noise, "photograph"), (calibration.model_noise, "model")):
         noise.plot(255.0 * curve.levels[:, 1], 255.0 * curve.deviations[:, 0, 0], "o", label=name)
-    noise.set(
-        title="noise of luma", xlabel="code of green", ylabel="standard deviation, codes", ylim=(0.0, None)
-    )
+    noise.set(title="noise of luma", xlabel="code of green", ylabel="standard deviation, codes")
+    noise.set(ylim=(0.0, None))
     for axes in (transfer, noise):
         axes.legend(frameon=False)
     buffer = io.BytesIO()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -21,19 +21,19 @@ from pepperscene.camera.pixel_rays import (
     check_field,
     corner_slopes,
     intrinsics_matrix,
-    pixel_slopes,
-    row_directions,
     slope_limits,
 )
 from pepperscene.camera.poses.generators import as_points
-from pepperscene.camera.poses.motion import Motion, crossing_times
+from pepperscene.camera.poses.motion import Motion
 from pepperscene.camera.sensor.developing_steps import Developing
 from pepperscene.camera.sensor.rows import Shutter
 from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum
 
+Array = NDArray[np.float64]
 _ROW_ACCURACY_PX: Final = 1e-9  # chosen: rounding of pixel coordinates is a thousandth of it
+_MOST_LINE_STEPS: Final = 32  # chosen: a camera that does not turn takes 2, and one that turns 4 or 5
 _EXPOSURE_S: Final = 50e-6  # unless another one is given; it does not affect the geometry
 _POINTS: Final = 1 << 13  # chosen: points that are projected at a time through a rolling shutter
 _MOST_ROW_STEPS: Final = 64
@@ -71,7 +71,7 @@ class Camera:
 
     lens: Lens
     sensor: Sensor
-    pose: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    pose: Array = field(default_factory=lambda: np.eye(4))
     exposure_s: float = _EXPOSURE_S
     flash: Flash | None = None
     developing: Developing = field(default_factory=Developing)
@@ -110,7 +110,7 @@ class Camera:
         return self.sensor.rows
 
     @property
-    def intrinsics(self) -> NDArray[np.float64]:
+    def intrinsics(self) -> Array:
         """`(3, 3)` pinhole matrix in image pixels."""
         return intrinsics_matrix(self.lens, self.sensor)
 
@@ -144,16 +144,16 @@ class Camera:
         """Whether ground truth and `project` follow the pose of each row; else all rows have `pose`."""
         return self.is_moving and self.sensor.line_time_s != 0.0 and self.labels_per_row
 
-    def pose_at(self, t: ArrayLike) -> NDArray[np.float64]:
+    def pose_at(self, t: ArrayLike) -> Array:
         """`(..., 4, 4)` camera to world at the times `t` `(...)`, seconds; `Shutter` defines time 0."""
         return (self.motion or Motion()).pose_at(self.pose, t)
 
-    def label_poses(self, v: ArrayLike) -> NDArray[np.float64]:
+    def label_poses(self, v: ArrayLike) -> Array:
         """`(..., 4, 4)` poses that ground truth has at the image rows v `(...)`, continuous coordinates."""
         times = self.shutter.middle_at(v)
         return self.pose_at(times if self.rows_move else np.zeros(times.shape))
 
-    def label_centres(self, v: ArrayLike) -> NDArray[np.float64]:
+    def label_centres(self, v: ArrayLike) -> Array:
         """`(..., 3)` projection centres of the `label_poses`."""
         times = self.shutter.middle_at(v)
         moved = (self.motion or Motion()).translation(times if self.rows_move else np.zeros(times.shape))
@@ -163,43 +163,37 @@ class Camera:
         """The same camera at another pose."""
         return dataclasses.replace(self, pose=np.asarray(pose, dtype=float))
 
-    def ray_slopes(self, rows: slice | None = None) -> NDArray[np.float64]:
+    def ray_slopes(self, rows: slice | None = None) -> Array:
         """`(h + 1, w + 1, 2)` undistorted slopes (x/z, y/z) of the rays through the pixel corners.
 
         Those of a line scanner are the same in all rows: `(2, w + 1, 2)`. Read-only and shared by all cameras
         with this lens and sensor. Those of some rows of corners, `(n, w + 1, 2)`, take no more memory than
         these if the image is large.
         """
-        if rows is None:
-            return pixel_slopes(self.lens, self._ray_sensor, 0.0)
         return corner_slopes(self.lens, self._ray_sensor, rows)
 
-    def border_slopes(self) -> tuple[NDArray[np.float64], ...]:
+    def border_slopes(self) -> tuple[Array, ...]:
         """The `ray_slopes` along the top and bottom, `(w + 1, 2)`, left and right border, `(h + 1, 2)`.
 
         Those of a line scanner are along the borders of its line: h is 1.
         """
         return border_slopes(self.lens, self._ray_sensor)
 
-    def slope_limits(self) -> NDArray[np.float64]:
+    def slope_limits(self) -> Array:
         """`(2, 2)` the least and the largest of the `ray_slopes`, (x/z, y/z) each."""
         return slope_limits(self.lens, self._ray_sensor)
 
-    def pixel_directions(self, rows: slice | None = None) -> NDArray[np.float64]:
+    def pixel_directions(self, rows: slice | None = None) -> Array:
         """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only.
 
         Those of some rows, `(n, w, 3)`, take no more memory than these if the image is large.
         """
-        if self.sensor.line_scan:
-            line = centre_directions(self.lens, self._ray_sensor)
-            return np.broadcast_to(line, (self.height, *line.shape[1:]))[
-                slice(None) if rows is None else rows
-            ]
-        if rows is None:
-            return centre_directions(self.lens, self.sensor)
-        return row_directions(self.lens, self.sensor, rows)
+        if not self.sensor.line_scan:
+            return centre_directions(self.lens, self.sensor, rows)
+        line = centre_directions(self.lens, self._ray_sensor)
+        return np.broadcast_to(line, (self.height, *line.shape[1:]))[rows or slice(None)]
 
-    def project(self, points_world: ArrayLike) -> NDArray[np.float64]:
+    def project(self, points_world: ArrayLike) -> Array:
         """Pixel coordinates (u, v), `(n, 2)`, of world points `(n, 3)`, inside the image or not.
 
         nan for points behind the camera, and for those so far off the axis that the distortion would fold
@@ -219,7 +213,7 @@ class Camera:
             return np.full((len(points), 2), np.nan)
         return self._image_points(self.pose[:3, :3].T @ (points - self.pose[:3, 3]).T)
 
-    def _image_points(self, points_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _image_points(self, points_camera: Array) -> Array:
         """Pixel coordinates `(n, 2)` of points `(3, n)` in camera axes; nan as in `project`."""
         x, y, z = points_camera
         in_front = z > 0
@@ -231,7 +225,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):  # points very close to the camera's plane
             return self.lens.distortion.distort(slopes) * matrix[[0, 1], [0, 1]] + matrix[:2, 2]
 
-    def _project_rows(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _project_rows(self, points: Array) -> Array:
         """Pixel coordinates `(n, 2)` of world points in an image whose rows have different poses.
 
         A point's row sets the time, and the pose at that time sets the point's row: a fixed point, found by
@@ -256,11 +250,25 @@ class Camera:
                     break
         return pixels
 
-    def _project_lines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixel coordinates `(n, 2)` of world points in the image of a line scanner."""
+    def _project_lines(self, points: Array) -> Array:
+        """Pixel coordinates `(n, 2)` of world points in the image of a line scanner.
+
+        All rows are the same line at other times, so a point's row is the time at which it crosses the middle
+        of the line. Newton's method finds it from time 0: first on the plane of a lens without distortion,
+        which a camera that does not turn crosses linearly in time, then on the sensor.
+        """
         motion, line_time_s = self.motion or Motion(), self.sensor.line_time_s
         matrix = intrinsics_matrix(self.lens, self._ray_sensor)
-        times = crossing_times(points, self.pose, motion, matrix, self._image_points, line_time_s)
+
+        def in_plane(times: Array) -> Array:
+            _, y, z = motion.to_camera(self.pose, points, times).T
+            return np.asarray(matrix[1, 1] * y + (matrix[1, 2] - 0.5) * z)
+
+        def on_sensor(times: Array) -> Array:
+            return self._image_points(motion.to_camera(self.pose, points, times).T)[:, 1] - 0.5
+
+        times = _roots(in_plane, np.zeros(len(points)), line_time_s)
+        times = _roots(on_sensor, times, line_time_s)
         pixels = self._image_points(motion.to_camera(self.pose, points, times).T)
         pixels[:, 1] = times / line_time_s + 0.5 * self.height
         pixels[np.isnan(pixels).any(axis=1)] = np.nan
@@ -337,3 +345,21 @@ class Camera:
                 "labels_per_row": self.labels_per_row,
             }
         return described
+
+
+def _roots(
+    residual: Callable[[Array], Array],
+    start_s: Array,
+    step_s: float,
+) -> Array:
+    """Times `(n,)` at which n residuals are 0, by Newton's method with differences over a step."""
+    times, is_found = start_s.copy(), np.zeros(len(start_s), bool)
+    for _ in range(_MOST_LINE_STEPS):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            value = residual(times)
+            change = value * step_s / (residual(times + step_s) - value)
+            times = np.where(np.isfinite(change), times - change, np.nan)
+            is_found |= np.abs(change) <= _ROW_ACCURACY_PX * step_s
+        if (is_found | np.isnan(times)).all():
+            break
+    return np.where(is_found, times, np.nan)

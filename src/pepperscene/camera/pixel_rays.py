@@ -90,13 +90,14 @@ def pixel_slopes(lens: Lens, sensor: Sensor, shift: float) -> NDArray[np.float64
     return slopes
 
 
-def corner_slopes(lens: Lens, sensor: Sensor, rows: slice) -> NDArray[np.float64]:
-    """Undistorted slopes of pixel corners in some of the h + 1 rows of corners, `(n, w + 1, 2)`; read-only.
+def corner_slopes(lens: Lens, sensor: Sensor, rows: slice | None = None) -> NDArray[np.float64]:
+    """Undistorted slopes of pixel corners in all or some of the h + 1 rows of corners, `(n, w + 1, 2)`.
 
-    Those of a large image are computed anew.
+    Read-only; those of some rows of a large image are computed anew.
     """
-    if is_whole(sensor.columns, sensor.rows):
-        return pixel_slopes(lens, sensor, 0.0)[rows]
+    if rows is None or is_whole(sensor.columns, sensor.rows):
+        slopes = pixel_slopes(lens, sensor, 0.0)
+        return slopes if rows is None else slopes[rows]
     return _undistorted_slopes(lens, sensor, np.arange(sensor.columns + 1), np.arange(sensor.rows + 1)[rows])
 
 
@@ -129,18 +130,20 @@ def slope_limits(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
     return result
 
 
-@lru_cache(maxsize=8)
-def centre_directions(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
-    """`(h, w, 3)` unit directions in camera axes of the rays through the pixel centres; read-only."""
-    return _directions(pixel_slopes(lens, sensor, 0.5))
+def centre_directions(lens: Lens, sensor: Sensor, rows: slice | None = None) -> NDArray[np.float64]:
+    """`(n, w, 3)` unit directions in camera axes of the rays through the pixel centres of all or some rows.
 
-
-def row_directions(lens: Lens, sensor: Sensor, rows: slice) -> NDArray[np.float64]:
-    """`centre_directions` of some rows of pixels, `(n, w, 3)`; those of a large image are computed anew."""
-    if is_whole(sensor.columns, sensor.rows):
-        return centre_directions(lens, sensor)[rows]
+    Read-only; those of some rows of a large image are computed anew.
+    """
+    if rows is None or is_whole(sensor.columns, sensor.rows):
+        return _image_directions(lens, sensor)[rows or slice(None)]
     u, v = np.arange(sensor.columns) + 0.5, np.arange(sensor.rows)[rows] + 0.5
     return _directions(_undistorted_slopes(lens, sensor, u, v))
+
+
+@lru_cache(maxsize=8)
+def _image_directions(lens: Lens, sensor: Sensor) -> NDArray[np.float64]:
+    return _directions(pixel_slopes(lens, sensor, 0.5))
 
 
 def _directions(slopes: NDArray[np.float64]) -> NDArray[np.float64]:

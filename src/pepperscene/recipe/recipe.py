@@ -13,8 +13,7 @@ from pydantic import Field, PrivateAttr
 
 from pepperscene import atomic
 from pepperscene.camera import Developing
-from pepperscene.camera.isp.processor import TONE_CURVES
-from pepperscene.camera.isp.processor_files import load_processor, read_tone_curve
+from pepperscene.camera.isp.processor import TONE_CURVES, load_processor, read_tone_curve
 from pepperscene.camera.lamps.photometric_files import ENDINGS
 from pepperscene.document import Document, read_toml
 from pepperscene.materials.stand import STAND_COLOURS

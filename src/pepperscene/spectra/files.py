@@ -223,6 +223,13 @@ def curve_file(path: Path, file: str) -> Path:
     return shipped if not is_file(beside) and is_file(shipped) else beside
 
 
+def read_light(path: Path, table: CurveTable) -> Spectrum:
+    """The spectrum of a lamp that the TOML file `path` names: as `read_curve`, or of a shipped file."""
+    found = curve_file(path, table.file)
+    # A missing file is reported under the name in the file.
+    return read_curve(path, "spectrum", str(found) if is_file(found) else table.file, table.column)
+
+
 def read_curve(path: Path, table: str, file: str, column: str) -> Spectrum:
     """Read one column of the CSV file that a `table` of the TOML file `path` names; 0 outside its range.
 

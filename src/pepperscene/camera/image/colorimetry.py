@@ -87,13 +87,6 @@ def adapted_xyz(light: Spectrum, reflectance: Array) -> Array:
     return np.asarray(reflectance @ weight.T / white[1] @ bradford_adaptation(white / white[1]).T)
 
 
-def adapted_white(light: Spectrum, reference: Spectrum) -> Array:
-    """`(3,)` XYZ (white at Y = 1) of a white diffuser under `light`, seen adapted to `reference`."""
-    observer = cie_1931_observer().at(NM)
-    white, own = observer @ reference.at(NM), observer @ light.at(NM)
-    return np.asarray(bradford_adaptation(white / white[1]) @ (own / own[1]))
-
-
 def xyz_to_lab(xyz: ArrayLike) -> Array:
     """`(..., 3)` CIELAB of XYZ (white at Y = 1) under D65."""
     relative = np.asarray(xyz, float) / D65_WHITE
@@ -167,7 +160,6 @@ def _colours(name: str, quantum_efficiency: Spectrum) -> Sensor:
 
 @lru_cache(maxsize=32)
 def _fitted_correction(sensor: Sensor, light: Spectrum) -> ColourCorrection:
-    """See `colour_correction`."""
     gains = white_balance_gains(sensor, light)
     power = light.at(NM)
     if not float(power @ cie_1931_observer().at(NM)[1] / power.sum()) > _MIN_LUMINOUS_FRACTION:
@@ -206,19 +198,6 @@ def balanced_rgb(sensor: Sensor, light: Spectrum, reflectance: Array) -> Array:
     return np.asarray(_relative_electrons(sensor, light, reflectance) / white)
 
 
-def balanced_white(sensor: Sensor, light: Spectrum, reference: Spectrum) -> Array:
-    """`(3,)` camera_rgb of a white diffuser under `light`, in the balance of `reference`.
-
-    Both lights have the same luminance, so that it is ones if they have the same spectrum.
-    """
-    luminance = cie_1931_observer().at(NM)[1]
-    own, balance = (
-        _relative_electrons(sensor, one, _WHITE)[0] / float(one.at(NM) @ luminance)
-        for one in (light, reference)
-    )
-    return np.asarray(own / balance)
-
-
 def _relative_electrons(sensor: Sensor, light: Spectrum, reflectance: Array) -> Array:
     """`(m, 3)` relative electrons of reflectances `(m, 801)` under `light`."""
     return np.asarray(reflectance @ (light.at(NM) * sensor.electrons_per_joule(NM)).T)
@@ -242,10 +221,18 @@ def _leaves() -> Array:
 
 
 def _daylights(sensor: Sensor, light: Spectrum) -> tuple[Array, Array]:
-    """Balanced camera_rgb and XYZ, each `(4, 3)`, of white diffusers under daylight."""
-    lights = [sky_spectrum(name) for name in _DAYLIGHTS]
-    rgb = np.stack([balanced_white(sensor, daylight, light) for daylight in lights])
-    return rgb, np.stack([adapted_white(daylight, light) for daylight in lights])
+    """camera_rgb and XYZ, each `(4, 3)`, of white diffusers under daylight, balanced for `light`."""
+    observer = cie_1931_observer().at(NM)
+
+    def seen(one: Spectrum) -> tuple[Array, Array]:
+        """camera_rgb and XYZ of the same luminance."""
+        xyz = observer @ one.at(NM)
+        rgb = _relative_electrons(sensor, one, _WHITE)[0] / float(one.at(NM) @ observer[1])
+        return rgb, xyz / xyz[1]
+
+    (balance, white), *others = (seen(one) for one in (light, *map(sky_spectrum, _DAYLIGHTS)))
+    adaptation = bradford_adaptation(white)
+    return np.stack([rgb / balance for rgb, _ in others]), np.stack([adaptation @ xyz for _, xyz in others])
 
 
 def _fit_matrix(samples: list[tuple[Array, Array, float]]) -> Array:
@@ -269,8 +256,7 @@ def _fit_matrix(samples: list[tuple[Array, Array, float]]) -> Array:
     weight = np.concatenate([np.full(len(rgb), weight / np.sqrt(len(rgb))) for rgb, _, weight in samples])
 
     def errors(free: Array) -> Array:
-        return np.asarray(
-            ((xyz_to_lab(colours @ matrix(free).T @ SRGB_TO_XYZ.T) - target) * weight[:, None]).ravel()
-        )
+        lab = xyz_to_lab(colours @ matrix(free).T @ SRGB_TO_XYZ.T)
+        return np.asarray(((lab - target) * weight[:, None]).ravel())
 
     return matrix(least_squares(errors, start).x)

@@ -19,19 +19,22 @@ from pepperscene.camera.image.colorimetry import (
     white_balance_gains,
 )
 from pepperscene.camera.image.electrons import relative_illumination
-from pepperscene.camera.image.tone_curves import apply_tone
-from pepperscene.camera.isp.linear_steps import correct_shading, displace_red_and_blue, saturate
-from pepperscene.camera.isp.local_steps import apply_local_steps
-from pepperscene.camera.isp.processor import ImageProcessor
+from pepperscene.camera.isp.processor import ImageProcessor, Points, ToneCurveName
+from pepperscene.camera.isp.steps import apply_local_steps, correct_shading, displace_red_and_blue, saturate
 from pepperscene.camera.sensor.developing_steps import LARGEST_PEDESTAL, Tone
 from pepperscene.camera.sensor.readout import Floats, colour_strips, mosaic_strips
 from pepperscene.camera.sensor.rows import row_strips
 from pepperscene.spectra import Spectrum
 
+Array = NDArray[np.float64]
 AUTO_PEDESTAL: Final = 0.7
 """Standard deviations of the noisiest colour of black. Chosen: the smallest at which the mean codes of black
 differ by less than one between colours, for all shipped sensors; more would only make it brighter. EMVA 1288
 asks for 2.6 in raw frames, so that 0.5 % of the numbers are clipped."""
+GAMMA: Final = 2.2  # chosen: that of most displays before sRGB
+_LEVELS: Final = 1 << 16
+"""Of light in a table of a curve. Near black, where sRGB is steepest, a step is 0.05 codes of 255."""
+_FILMIC_EXPOSURE: Final = 0.6  # of Narkowicz (2015), so that his fit is that of the whole transform
 
 
 def develop(
@@ -161,7 +164,7 @@ def correct_colours(rgb: Floats, camera: Camera) -> Floats:
     return rgb if developing.colour_matrix is False else rgb @ matrix.T.astype(np.float32)
 
 
-def colour_transform(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def colour_transform(camera: Camera) -> tuple[Array, Array]:
     """White balance gains `(3,)` and colour matrix `(3, 3)` in use: linear sRGB is `matrix @ (gains * rgb)`.
 
     Each is given by the camera's `developing`, or fitted to its reference light (see `reference_correction`);
@@ -221,13 +224,63 @@ def pedestal(camera: Camera) -> float:
     return min(AUTO_PEDESTAL * float(np.sqrt(of_pixels.max())), LARGEST_PEDESTAL)
 
 
+def tone_curve(light: Array, curve: ToneCurveName | str | Points, gamma: float = GAMMA) -> Array:
+    """Code in [0, 1] of linear light in [0, 1].
+
+    "filmic" is the fit of Narkowicz (2015, "ACES filmic tone mapping curve", knarkowicz.wordpress.com) to the
+    reference transform of the Academy Color Encoding System, scaled so that light 1 is white, and coded as
+    sRGB: dark shade, bright lights, and a shoulder below white. A curve of points is linear between them.
+
+    Raises:
+        ValueError: the curve has another name.
+    """
+    if not isinstance(curve, str):
+        x, y = np.array(curve).T
+        return np.interp(light, x, y)
+    if curve == "linear":
+        return light
+    if curve == "gamma":
+        return np.asarray(light ** (1.0 / gamma))
+    if curve == "filmic":
+        return srgb_encode(_aces(_FILMIC_EXPOSURE * light) / _aces(np.array(_FILMIC_EXPOSURE)))
+    if curve == "srgb":
+        return srgb_encode(light)
+    raise ValueError(f"there is no tone curve {curve!r}")
+
+
+def _aces(x: Array) -> Array:
+    return np.asarray(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14))
+
+
+def s_curve(code: Array, strength: float) -> Array:
+    """Codes in [0, 1], by a share `strength` of -1 to 1 on their way to 3x^2 - 2x^3; 0, 1/2 and 1 stay."""
+    return np.asarray(code + strength * (code * code * (3.0 - 2.0 * code) - code))
+
+
+def apply_tone(linear: Floats, isp: ImageProcessor, tone: ToneCurveName) -> Floats:
+    """Codes in [0, 1] of linear values of any shape, clipped to [0, 1]; `tone` without a curve of its own."""
+    curve = isp.tone_curve or tone
+    table = _tone_table(curve, GAMMA if isp.gamma is None else isp.gamma, isp.contrast or 0.0)
+    levels = np.clip(linear, np.float32(0), np.float32(1))
+    levels *= np.float32(_LEVELS - 1)
+    levels += np.float32(0.5)
+    return table.take(levels.astype(np.uint16))
+
+
+@lru_cache(maxsize=4)
+def _tone_table(curve: ToneCurveName | str | Points, gamma: float, contrast: float) -> Floats:
+    """`(65536,)` codes by light: a fifth of the time of powers."""
+    light = np.arange(_LEVELS) / (_LEVELS - 1)
+    return s_curve(tone_curve(light, curve, gamma), contrast).astype(np.float32)
+
+
 def encode_tone(linear: Floats, tone: Tone = "srgb") -> NDArray[np.uint8]:
     """8-bit codes of linear values, clipped to [0, 1], by the sRGB curve or without a curve."""
     value = np.clip(linear, np.float32(0), np.float32(1))
     return np.rint((srgb_encode(value) if tone == "srgb" else value) * np.float32(255)).astype(np.uint8)
 
 
-def decode_tone(codes: ArrayLike, tone: Tone = "srgb") -> NDArray[np.float64]:
+def decode_tone(codes: ArrayLike, tone: Tone = "srgb") -> Array:
     """Linear values in [0, 1] of codes of any shape; the inverse of `encode_tone`.
 
     Args:
@@ -242,7 +295,7 @@ def decode_tone(codes: ArrayLike, tone: Tone = "srgb") -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=2)
-def _decode_table(tone: Tone) -> NDArray[np.float64]:
+def _decode_table(tone: Tone) -> Array:
     """`(256,)` linear values by code: far faster than one power per pixel."""
     return decode_tone(np.arange(256.0), tone)
 

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.optics.lens import StrayLight
 from pepperscene.camera.sensor.rows import is_whole, row_strips
-from pepperscene.camera.sensor.sensor import Sensor
 
 Array = NDArray[np.float64]
 _NEAR: Final = 8
@@ -137,7 +136,7 @@ def stray_light_factor(camera: Camera) -> float:
     if not camera.developing.stray_light:
         return 1.0
     dtype = "float64" if is_whole(camera.width, camera.height) else "float32"
-    transfer = _camera_transfer(camera, (camera.height, camera.width), dtype)
+    transfer = _transfer(_optics(camera), (camera.height, camera.width), dtype)
     return math.sqrt(np.vdot(transfer, transfer) / transfer.size)
 
 
@@ -148,11 +147,7 @@ def near_point_spread(camera: Camera, reach: int) -> NDArray[np.floating]:
     """
     if not camera.developing.stray_light:
         return np.pad(np.ones((1, 1)), reach)
-    lens, sensor = camera.lens, camera.sensor
-    wavelength_m = _mean_wavelength_m(sensor)
-    quarter = point_spread(
-        lens.stray_light, lens.f_number, sensor.pixel_pitch_m, wavelength_m, (reach, reach)
-    )
+    quarter = point_spread(*_optics(camera), (reach, reach))
     distance = np.abs(np.arange(-reach, reach + 1))
     return quarter[distance[:, None], distance]
 
@@ -171,16 +166,20 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating
             below 0 count as 0.
         camera: lens and sensor.
     """
+    from scipy.fft import dctn, idctn
+
     image, stray = np.asarray(electrons), camera.lens.stray_light
     size = image.shape[0], image.shape[1]
     is_single = image.dtype == np.float32 and not is_whole(size[1], size[0])
     image = image if is_single else np.asarray(image, dtype=float)
-    transfer = _camera_transfer(camera, size, image.dtype.name)
+    transfer = _transfer(_optics(camera), size, image.dtype.name)
     result = image if is_single else np.empty_like(image)
     for channel in range(image.shape[-1]):
         plane = np.maximum(image[..., channel], image.dtype.type(0.0))
         # Diffraction and scatter, with the image mirrored at its borders.
-        spread = _multiply_frequencies(plane, transfer)
+        frequencies = dctn(plane, type=2)
+        frequencies *= transfer
+        spread: NDArray[Any] = idctn(frequencies, type=2, overwrite_x=True)
         np.maximum(spread, 0.0, out=spread)
         if stray.ghosts:
             _add_ghosts(spread, plane, camera)
@@ -190,40 +189,26 @@ def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating
     return result
 
 
-def _camera_transfer(camera: Camera, size: tuple[int, int], dtype: str) -> NDArray[np.floating]:
-    """The factors of `_transfer` for an image `(h, w)` of a camera."""
-    lens, sensor = camera.lens, camera.sensor
-    return _transfer(
-        lens.stray_light, lens.f_number, sensor.pixel_pitch_m, _mean_wavelength_m(sensor), size, dtype
-    )
+def _optics(camera: Camera) -> tuple[StrayLight, float, float, float]:
+    """What the point spread depends on, the first arguments of `point_spread`; by value, for its cache."""
+    efficiency = camera.sensor.quantum_efficiency
+    nm, sensitivity = efficiency.wavelength_nm, efficiency.values.sum(axis=0)
+    # The mean wavelength of the photo-electrons of light with the same photons at all wavelengths.
+    wavelength_m = float(np.trapezoid(nm * sensitivity, nm) / np.trapezoid(sensitivity, nm)) * 1e-9
+    return camera.lens.stray_light, camera.lens.f_number, camera.sensor.pixel_pitch_m, wavelength_m
 
 
 @lru_cache(maxsize=2)
 def _transfer(
-    stray: StrayLight,
-    f_number: float,
-    pitch_m: float,
-    wavelength_m: float,
-    shape: tuple[int, int],
-    dtype: str = "float64",
+    optics: tuple[StrayLight, float, float, float], shape: tuple[int, int], dtype: str
 ) -> NDArray[np.floating]:
     """`(h, w)` factors on the image's cosine transform; read-only, and shared by all frames of a camera."""
     from scipy.fft import dctn
 
-    spread = point_spread(stray, f_number, pitch_m, wavelength_m, shape, dtype)
+    spread = point_spread(*optics, shape, dtype)
     factors = np.ascontiguousarray(dctn(spread, type=1, overwrite_x=True)[: shape[0], : shape[1]])
     factors.setflags(write=False)
     return factors
-
-
-def _multiply_frequencies(
-    plane: NDArray[np.floating], transfer: NDArray[np.floating]
-) -> NDArray[np.floating]:
-    from scipy.fft import dctn, idctn
-
-    frequencies = dctn(plane, type=2)
-    frequencies *= transfer
-    return np.asarray(idctn(frequencies, type=2, overwrite_x=True))
 
 
 def point_spread(
@@ -287,13 +272,6 @@ def _light_in_rectangles(encircled: Callable[[Array], Array], down: Array, right
         light = encircled(length / np.cos(limit * (1.0 + nodes) / 2.0))
         total += light @ weights * limit[..., 0] / 2.0
     return total / (2.0 * np.pi)
-
-
-def _mean_wavelength_m(sensor: Sensor) -> float:
-    """Mean wavelength of the photo-electrons of light with the same photons at all wavelengths."""
-    efficiency = sensor.quantum_efficiency
-    nm, sensitivity = efficiency.wavelength_nm, efficiency.values.sum(axis=0)
-    return float(np.trapezoid(nm * sensitivity, nm) / np.trapezoid(sensitivity, nm)) * 1e-9
 
 
 def _add_ghosts(spread: NDArray[np.floating], plane: NDArray[np.floating], camera: Camera) -> None:

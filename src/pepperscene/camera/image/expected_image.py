@@ -86,7 +86,6 @@ def _photosites(electrons: Floats, sensor: Sensor, developing: Developing) -> tu
 
 
 def _density(z: Floats) -> Floats:
-    """Of the standard normal distribution."""
     return np.exp(-0.5 * np.square(z)) * np.float32(1 / np.sqrt(2 * np.pi))
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.image.electrons import add_stray_light, expected_electrons
 from pepperscene.camera.image.expected_image import expected_image
+from pepperscene.camera.sensor.readout import block_means
 from pepperscene.camera.sensor.sensor import Sensor
 
 Metering = Literal["average", "centre", "subject", "highlights"]
@@ -109,9 +110,9 @@ def image_meter(
     if size <= 1.0 or min(rows, columns) < 2:
         return cache(fine)
     if subject is not None:
-        subject = _half_resolution(subject[..., None])[..., 0]
+        subject = block_means(subject, 2)
     weights = _weights(rows // 2, columns // 2, metering, subject)
-    coarse = _read_image(camera, _half_resolution(daylight), _half_resolution(flash), weights, counts)
+    coarse = _read_image(camera, block_means(daylight, 2), block_means(flash, 2), weights, counts)
 
     def read(exposure_s: float, gain: float, factor: float) -> Reading:
         # The excess is proportional to the size of the pixels, and 0 at the camera's own.
@@ -120,13 +121,6 @@ def image_meter(
 
     # Limits of exposure and gain, and what is found, are read again.
     return cache(read)
-
-
-def _half_resolution(image: Floats) -> Floats:
-    """Means of 2 x 2 pixels, without the last row or column if there is an odd number."""
-    rows, columns = (n // 2 for n in image.shape[:2])
-    blocks = image[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, -1)
-    return np.asarray(blocks.mean(axis=(1, 3)))
 
 
 def _read_image(

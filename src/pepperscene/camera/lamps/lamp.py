@@ -122,23 +122,18 @@ class Lamp:
     pulse_s: float | None = None
 
     def __post_init__(self) -> None:
-        position, rotation = np.array(self.position_m, float), np.array(self.rotation, float)
+        position = np.array(self.position_m, float)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise ValueError(f"{self.name}: the position must be three finite numbers")
-        is_orthogonal = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
-        if not is_orthogonal or np.linalg.det(rotation) < 0:
-            raise ValueError(f"{self.name}: rotation must be a (3, 3) rotation, without reflection")
+        rotation = rotation_matrix(self.rotation, self.name)
         if not 0 < self.flux_W <= STRONGEST_W:
             raise ValueError(f"{self.name}: must emit more than 0 and at most {STRONGEST_W:g} W of light")
         if not (self.pulse_s is None or 0 < self.pulse_s < math.inf):
             raise ValueError(f"{self.name}: the pulse must be positive and finite")
-        if self.spectrum.values.ndim != 1 or not self.spectrum.values.min() >= 0:
-            raise ValueError(f"{self.name}: the spectrum must be one curve, at least 0")
-        if not self.spectrum.integral() > 0:
-            raise ValueError(f"{self.name}: the spectrum must not be 0 throughout")
-        for name, values in (("position_m", position), ("rotation", rotation)):
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
+        check_spectrum(self.spectrum, self.name)
+        position.setflags(write=False)
+        object.__setattr__(self, "position_m", position)
+        object.__setattr__(self, "rotation", rotation)
 
     @property
     def unit_spectrum(self) -> Spectrum:
@@ -234,6 +229,24 @@ class Lamp:
             "ppf_umol_s": self.ppf_umol_s,
         }
         return described if self.pulse_s is None else {**described, "pulse_s": float(self.pulse_s)}
+
+
+def rotation_matrix(values: ArrayLike, name: str) -> Array:
+    """A read-only copy; raises ValueError, which names the device, unless it is a rotation `(3, 3)`."""
+    rotation = np.array(values, float)
+    is_orthogonal = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    if not is_orthogonal or np.linalg.det(rotation) < 0:
+        raise ValueError(f"{name}: rotation must be a (3, 3) rotation, without reflection")
+    rotation.setflags(write=False)
+    return rotation
+
+
+def check_spectrum(spectrum: Spectrum, name: str) -> None:
+    """Raise ValueError, which names the device, unless a spectrum is one curve of light."""
+    if spectrum.values.ndim != 1 or not spectrum.values.min() >= 0:
+        raise ValueError(f"{name}: the spectrum must be one curve, at least 0")
+    if not spectrum.integral() > 0:
+        raise ValueError(f"{name}: the spectrum must not be 0 throughout")
 
 
 def lamp_spectrum(lamps: Iterable[Lamp], exposure_s: float) -> Spectrum | None:

@@ -13,9 +13,8 @@ from pepperscene.camera.lamps.lamp import POINT, EmitterShape, Lamp, ring
 from pepperscene.camera.lamps.photometric_files import ENDINGS, read_beam
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file
 from pepperscene.spectra import read_spectrum
-from pepperscene.spectra.files import CurveTable, SourcedDocument, curve_file, find_material, read_curve
+from pepperscene.spectra.files import CurveTable, SourcedDocument, find_material, read_light
 
 _SIZE_MM: Final = 1e4  # chosen: as of a flash
 _WHITE: Final = ("light/cie_illuminants_colour_science", "led_b3")
@@ -23,6 +22,7 @@ _WHITE: Final = ("light/cie_illuminants_colour_science", "led_b3")
 
 Size = Annotated[float, Field(gt=0, le=_SIZE_MM)]
 Strength = Annotated[float, Field(ge=1e-6, le=1e9)]
+BeamAngle = Annotated[float, Field(ge=0, le=180)]
 Elements = Annotated[int, Field(ge=1, le=100)]
 
 
@@ -31,9 +31,7 @@ class LampBeamTable(Document):
 
     kind: Literal["lambertian", "even"] | None = None
     file: Annotated[str, Field(min_length=1, max_length=400)] | None = None
-    angle_deg: Annotated[tuple[Annotated[float, Field(ge=0, le=180)], ...], Field(max_length=1000)] | None = (
-        None
-    )
+    angle_deg: Annotated[tuple[BeamAngle, ...], Field(max_length=1000)] | None = None
     relative_intensity: tuple[Annotated[float, Field(ge=0, le=1e6)], ...] | None = None
 
     @model_validator(mode="after")
@@ -68,14 +66,9 @@ class PanelTable(Document):
 
     def shape(self) -> EmitterShape:
         """The same in metres."""
-        pitch, size = self.pitch_mm or (0.0, 0.0), self.size_mm or (0.0, self.radius_mm or 0.0)
-        return EmitterShape(
-            self.columns,
-            self.rows,
-            (1e-3 * pitch[0], 1e-3 * pitch[1]),
-            (1e-3 * size[0], 1e-3 * size[1]),
-            is_round=self.size_mm is None,
-        )
+        (right, down), (width, height) = self.pitch_mm or (0, 0), self.size_mm or (0, self.radius_mm or 0)
+        pitch_m, size_m = (1e-3 * right, 1e-3 * down), (1e-3 * width, 1e-3 * height)
+        return EmitterShape(self.columns, self.rows, pitch_m, size_m, is_round=self.size_mm is None)
 
 
 class LampDocument(SourcedDocument):
@@ -101,13 +94,11 @@ class LampDocument(SourcedDocument):
 
     @model_validator(mode="after")
     def _check_consistency(self) -> LampDocument:
-        needed = {"point": (), "disc": ("radius_mm",), "ring": ("radius_mm", "inner_radius_mm")} | {
-            "panel": ("panel",),
-            "tube": ("length_mm",),
-        }
+        needed = {"disc": ("radius_mm",), "ring": ("radius_mm", "inner_radius_mm"), "panel": ("panel",)}
+        of_shape = (needed | {"tube": ("length_mm",)}).get(self.shape, ())
         for key in ("radius_mm", "inner_radius_mm", "length_mm", "panel"):
-            if (getattr(self, key) is not None) != (key in needed[self.shape]):
-                verb = "needs" if key in needed[self.shape] else "must not have"
+            if (getattr(self, key) is not None) != (key in of_shape):
+                verb = "needs" if key in of_shape else "must not have"
                 raise ValueError(f"a lamp of the shape {self.shape} {verb} {key}")
         if self.shape == "ring" and not (self.inner_radius_mm or 0) < (self.radius_mm or 0):
             raise ValueError("inner_radius_mm must be less than radius_mm")
@@ -145,24 +136,15 @@ def load_lamp(name_or_path: str | Path) -> Lamp:
         return Lamp(path.stem, spectrum, 1.0, beam).with_strength(flux_lm=beam.flux)
     path = find_material("lamps", name_or_path)
     document = validate(LampDocument, read_toml(path), path)
-    found = curve_file(path, document.spectrum.file)
-    spectrum = read_curve(
-        path, "spectrum", str(found) if is_file(found) else document.spectrum.file, document.spectrum.column
-    )
-    beam = _beam(path, document)
+    spectrum, beam = read_light(path, document.spectrum), _beam(path, document)
+    pulse_s = None if document.pulse_us is None else 1e-6 * document.pulse_us
     try:
         lamp = Lamp(
-            document.name,
-            spectrum,
-            document.flux_W or 1.0,
-            beam,
-            document.emitter(),
-            pulse_s=None if document.pulse_us is None else 1e-6 * document.pulse_us,
+            document.name, spectrum, document.flux_W or 1.0, beam, document.emitter(), pulse_s=pulse_s
         )
     except ValueError as error:
-        raise InputError(
-            path, f"does not fit: {error}", key="spectrum.column", value=document.spectrum.column
-        ) from None
+        key, column = "spectrum.column", document.spectrum.column
+        raise InputError(path, f"does not fit: {error}", key=key, value=column) from None
     if document.flux_W is not None:
         return lamp
     given = {key: getattr(document, key) for key in ("flux_lm", "ppf_umol_s", "illuminance_lx")}

@@ -60,9 +60,8 @@ def _read_ies(text: str) -> tuple[Array, Array, Array]:
         raise _FormatError(f"must have TILT=NONE, not TILT={found[1][:40]}")
     numbers = _numbers(text[found.end() :].replace("\x1a", " "))
     if len(numbers) < _HEADER:
-        raise _FormatError(
-            f"ends too early: it has {len(numbers)} numbers after TILT, at least 13 are needed"
-        )
+        problem = f"it has {len(numbers)} numbers after TILT, at least 13 are needed"
+        raise _FormatError(f"ends too early: {problem}")
     if numbers[5] != 1:
         raise _FormatError(f"must have photometry of type C (1), not {numbers[5]:g}")
     count, planes = (_count(number, "angles and planes") for number in numbers[3:5])
@@ -78,9 +77,8 @@ def _read_ies(text: str) -> tuple[Array, Array, Array]:
 
 def _read_ldt(text: str) -> tuple[Array, Array, Array]:
     """Planes and angles in degrees and candela of a EULUMDAT file (Stockmar 1990)."""
-    lines = [
-        line.strip().replace(",", ".") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    ]
+    text = text.replace("\r\n", "\n").replace("\r", "\n").replace(",", ".")
+    lines = [line.strip() for line in text.split("\n")]
     if len(lines) <= _LAMP_SETS:
         raise _FormatError(f"ends too early: it has {len(lines)} lines, a EULUMDAT file has more than 26")
     symmetry, planes, count, sets = (
@@ -137,7 +135,6 @@ def _full_turn(planes: Array, angles: Array, candela: Array) -> tuple[Array, Arr
 
 
 def _numbers(text: str) -> list[float]:
-    """All numbers of a text."""
     words = [word for word in _NUMBER.split(text) if word]
     if len(words) > 2 * _MOST_VALUES:
         raise _FormatError(f"has more than {2 * _MOST_VALUES} numbers")
@@ -156,7 +153,6 @@ def _number(word: str, row: int | None = None) -> float:
 
 
 def _count(value: float, what: str, least: int = 1) -> int:
-    """A number of entries."""
     if not (value == int(value) and least <= value <= _MOST_VALUES):
         raise _FormatError(f"must have whole numbers of {what}, at least {least}, not {value:g}")
     return int(value)

@@ -69,16 +69,12 @@ class CameraCalibration:
         if not (1 <= self.width <= LARGEST_SIDE and 1 <= self.height <= LARGEST_SIDE):
             size = f"{self.width} x {self.height}"
             raise ValueError(f"an image of {size} must be 1 x 1 to {LARGEST_SIDE} x {LARGEST_SIDE} pixels")
-        for name in ("fx", "fy"):
-            if not FOCAL_PX[0] <= getattr(self, name) <= FOCAL_PX[1]:
-                allowed = f"must be {FOCAL_PX[0]:g} to {FOCAL_PX[1]:g} pixels"
-                raise ValueError(f"{name} = {getattr(self, name):g} {allowed}")
+        _check_range("fx", self.fx, *FOCAL_PX, "pixels")
+        _check_range("fy", self.fy, *FOCAL_PX, "pixels")
         if not FY_OVER_FX[0] <= self.fy / self.fx <= FY_OVER_FX[1]:
             raise ValueError(f"fy = {self.fy:g} must be {FY_OVER_FX[0]:g} to {FY_OVER_FX[1]:g} times fx")
-        for name in ("cx", "cy"):
-            if not abs(getattr(self, name)) <= LARGEST_OFFSET_PX:
-                allowed = f"must be {-LARGEST_OFFSET_PX:g} to {LARGEST_OFFSET_PX:g} pixels"
-                raise ValueError(f"{name} = {getattr(self, name):g} {allowed}")
+        _check_range("cx", self.cx, -LARGEST_OFFSET_PX, LARGEST_OFFSET_PX, "pixels")
+        _check_range("cy", self.cy, -LARGEST_OFFSET_PX, LARGEST_OFFSET_PX, "pixels")
         if self.model not in MODELS:
             raise ValueError(f"distortion_model = {self.model!r} must be one of {', '.join(MODELS)}")
         check_coefficients(self.model, self.coefficients)
@@ -118,9 +114,12 @@ def check_coefficients(model: LensModel, coefficients: Sequence[float]) -> None:
         allowed = f"must be the {len(names)} numbers {', '.join(names)}{optional} of {model}"
         raise ValueError(f"distortion {allowed}, not {len(coefficients)}")
     for name, value in zip(names, coefficients, strict=False):
-        if not abs(value) <= LARGEST_COEFFICIENT:
-            allowed = f"must be {-LARGEST_COEFFICIENT:g} to {LARGEST_COEFFICIENT:g}"
-            raise ValueError(f"the distortion's {name} = {value:g} {allowed}")
+        _check_range(f"the distortion's {name}", value, -LARGEST_COEFFICIENT, LARGEST_COEFFICIENT)
+
+
+def _check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    if not low <= value <= high:
+        raise ValueError(f"{name} = {value:g} must be {low:g} to {high:g} {unit}".rstrip())
 
 
 def read_calibration(path: str | Path) -> CameraCalibration:

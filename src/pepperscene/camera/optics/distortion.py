@@ -38,9 +38,9 @@ class DistortionModel(ABC):
             raise ValueError("distortion coefficients must be finite")
 
     @property
-    @abstractmethod
     def is_zero(self) -> bool:
         """Whether distorted slopes are the ideal ones."""
+        return False
 
     @property
     @abstractmethod
@@ -81,11 +81,9 @@ class DistortionModel(ABC):
                 if not np.abs(step).max(initial=0.0) > _TOLERANCE * 1e-2:
                     break
             # A root beyond the fold has the right image and is the wrong ray.
-            error = np.abs(self.distort(ideal) - target).max(axis=-1)
-            unfolded = (self.area_scale(ideal) > 0) & (
-                np.hypot(ideal[..., 0], ideal[..., 1]) < self.fold_radius
-            )
-            valid = (error < _TOLERANCE) & unfolded
+            valid = np.abs(self.distort(ideal) - target).max(axis=-1) < _TOLERANCE
+            valid &= self.area_scale(ideal) > 0
+            valid &= np.hypot(ideal[..., 0], ideal[..., 1]) < self.fold_radius
         if not np.all(valid):
             raise ValueError(self._describe_failure(*target[~valid][0]))
         return ideal
@@ -139,10 +137,7 @@ class Distortion(DistortionModel):
 
     @property
     def fold_radius(self) -> float:
-        """The radius (a slope) at which the radial part starts to decrease; inf if it never does.
-
-        Rays from beyond would fold back into the image; none are traced there.
-        """
+        """The radius (a slope) at which the radial part starts to decrease; inf if it never does."""
         if not self._is_rational:
             # d(r R)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 with s = r^2 vanishes first at the largest
             # t = 1/s > 0 of t^3 + 3 k1 t^2 + 5 k2 t + 7 k3 = 0, which is well posed for coefficients of zero
@@ -218,11 +213,6 @@ class FisheyeDistortion(DistortionModel):
     k4: float = 0.0
 
     @property
-    def is_zero(self) -> bool:
-        """Whether distorted slopes are the ideal ones: never."""
-        return False
-
-    @property
     def fold_radius(self) -> float:
         """The slope of the angle at which the image radius starts to decrease; inf from 90 degrees on."""
         # d(theta_d)/d(theta) as a polynomial in s = theta^2, reversed as in `Distortion`.
@@ -271,9 +261,8 @@ class FisheyeDistortion(DistortionModel):
         angle = self._angle(radius)
         angle = np.where(angle < math.pi / 2, angle, np.nan)
         near = radius < _NEAR_AXIS
-        return np.asarray(
-            distorted * np.where(near, 1.0, np.tan(angle) / np.where(near, 1.0, radius))[..., None]
-        )
+        scale = np.where(near, 1.0, np.tan(angle) / np.where(near, 1.0, radius))
+        return np.asarray(distorted * scale[..., None])
 
     def _describe_failure(self, x: float, y: float) -> str:
         angle = float(self._angle(np.array(math.hypot(x, y))))

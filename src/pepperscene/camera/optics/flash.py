@@ -12,19 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from pepperscene.camera.lamps.lamp import check_spectrum, rotation_matrix
 from pepperscene.camera.optics.lens import AngularProfile, ProfileTable
 from pepperscene.document import Document, read_toml, validate
 from pepperscene.errors import InputError
-from pepperscene.shipped import is_file
 from pepperscene.spectra import Spectrum, scale_to_illuminance
-from pepperscene.spectra.files import (
-    LEAST_PEAK,
-    CurveTable,
-    SourcedDocument,
-    curve_file,
-    find_material,
-    read_curve,
-)
+from pepperscene.spectra.files import LEAST_PEAK, CurveTable, SourcedDocument, find_material, read_light
 
 _NODES: Final = 24  # of Gauss' quadrature; chosen: for each smooth piece exact to 1e-9 or better
 
@@ -32,19 +25,10 @@ _LEAST_LIGHT_AHEAD: Final = 1e-6
 """Of what a point with the axial intensity gives at the reference point. Chosen: the strength of a lamp that
 hardly shines straight ahead says nothing about its other directions."""
 
-# Bounds of flash files.
-_STRENGTH: Final = (1e-6, 1e9)
-"""Lux or W m-2. Chosen: a moonless night sky gives 1e-4 lx, the sun 1e5, and LEDs at 1 mm 1e8."""
 _STRONGEST_W_SR: Final = 1e6
 """Axial intensity; chosen: ten thousand times the shipped LED matrix, and near the strongest searchlights.
 A hundred times as much would overflow single precision in the renderer."""
-_AT_MM: Final = (1.0, 1e5)  # chosen: photometers measure lamps within 100 m
-_PULSE_US: Final = (1e-3, 1e9)
-"""Chosen: nanoseconds (electric sparks) to a quarter of an hour (lamps that stay on)."""
 _FLASH_SIZE_MM: Final = 1e4  # radius, pitch and offset; chosen: a lamp as wide as a greenhouse's bays
-_LEAST_PITCH_MM: Final = 1e-3  # chosen: the finest displays have emitters of a few micrometres
-_STRONGEST_SIDE: Final = 100.0
-"""Relative intensity beside the axis; chosen: LEDs that shine sideways ("batwing") have 1.5 to 5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +71,9 @@ class Flash:
             raise ValueError(f"{self.name}: exactly one of illuminance_lx and irradiance_W_m2 is needed")
         if not min(*strengths, self.at_m, self.pulse_s) > 0 or not self.radius_m >= 0:
             raise ValueError(f"{self.name}: strength, distance and pulse must be positive, radius at least 0")
-        if self.spectrum.values.ndim != 1 or not self.spectrum.values.min() >= 0:
-            raise ValueError(f"{self.name}: the spectrum must be one curve, at least 0")
+        check_spectrum(self.spectrum, self.name)
         if self.illuminance_lx is not None and not _is_visible(self.spectrum):
             raise ValueError(f"{self.name}: a spectrum without light in 400 to 700 nm has no lux")
-        if not self.spectrum.integral() > 0:
-            raise ValueError(f"{self.name}: the spectrum must not be 0 throughout")
         if emitters.ndim != 2 or emitters.shape[1] != 2 or not len(emitters):
             raise ValueError(f"{self.name}: emitters must be (k, 2) with k >= 1, not {emitters.shape}")
         if not np.isfinite(emitters).all():
@@ -100,14 +81,7 @@ class Flash:
         emitters.setflags(write=False)
         object.__setattr__(self, "emitters_m", emitters)
         if self.rotation is not None:
-            rotation = np.array(self.rotation, dtype=float)
-            is_orthogonal = rotation.shape == (3, 3) and np.allclose(
-                rotation @ rotation.T, np.eye(3), atol=1e-6
-            )
-            if not is_orthogonal or np.linalg.det(rotation) < 0:
-                raise ValueError(f"{self.name}: rotation must be a (3, 3) rotation, without reflection")
-            rotation.setflags(write=False)
-            object.__setattr__(self, "rotation", rotation)
+            object.__setattr__(self, "rotation", rotation_matrix(self.rotation, self.name))
         if not self._irradiance_per_intensity * self.at_m**2 > _LEAST_LIGHT_AHEAD:
             raise ValueError(f"{self.name}: no light of the profile falls straight ahead at {self.at_m:g} m")
 
@@ -183,14 +157,16 @@ def _is_visible(spectrum: Spectrum) -> bool:
     return bool(spectrum.at(np.arange(400.0, 701.0)).any())
 
 
-Strength = Annotated[float, Field(ge=_STRENGTH[0], le=_STRENGTH[1])]
+Strength = Annotated[float, Field(ge=1e-6, le=1e9)]
+"""Lux or W m-2. Chosen: a moonless night sky gives 1e-4 lx, the sun 1e5, and LEDs at 1 mm 1e8."""
 FlashMillimetres = Annotated[float, Field(ge=-_FLASH_SIZE_MM, le=_FLASH_SIZE_MM)]
 
 
 class BeamTable(ProfileTable):
     """Relative intensity against the angle to the flash's axis."""
 
-    relative_intensity: tuple[Annotated[float, Field(ge=0, le=_STRONGEST_SIDE)], ...]
+    # Chosen: LEDs that shine sideways ("batwing") have 1.5 to 5.
+    relative_intensity: tuple[Annotated[float, Field(ge=0, le=100)], ...]
 
     def profile(self) -> AngularProfile:
         """The beam; it ends at the last angle."""
@@ -202,7 +178,8 @@ class MatrixTable(Document):
 
     columns: Annotated[int, Field(ge=1, le=100)]
     rows: Annotated[int, Field(ge=1, le=100)]
-    pitch_mm: Annotated[float, Field(ge=_LEAST_PITCH_MM, le=_FLASH_SIZE_MM)]
+    # Chosen: the finest displays have emitters of a few micrometres.
+    pitch_mm: Annotated[float, Field(ge=1e-3, le=_FLASH_SIZE_MM)]
 
     def centres_m(self) -> NDArray[np.float64]:
         """`(rows * columns, 2)` emitter centres, right and down, row by row."""
@@ -217,8 +194,9 @@ class FlashDocument(SourcedDocument):
 
     illuminance_lx: Strength | None = None
     irradiance_W_m2: Strength | None = None  # noqa: N815 (the unit is written so)
-    at_mm: Annotated[float, Field(ge=_AT_MM[0], le=_AT_MM[1])]
-    pulse_us: Annotated[float, Field(ge=_PULSE_US[0], le=_PULSE_US[1])]
+    at_mm: Annotated[float, Field(ge=1.0, le=1e5)]  # chosen: photometers measure lamps within 100 m
+    # Chosen: nanoseconds (electric sparks) to a quarter of an hour (lamps that stay on).
+    pulse_us: Annotated[float, Field(ge=1e-3, le=1e9)]
     radius_mm: Annotated[float, Field(ge=0, le=_FLASH_SIZE_MM)]
     offset_mm: tuple[FlashMillimetres, FlashMillimetres, FlashMillimetres]
     matrix: MatrixTable | None = None
@@ -279,10 +257,8 @@ def _check_intensity(path: Path, document: FlashDocument, flash: Flash) -> None:
 
 def _read_spectrum(path: Path, document: FlashDocument) -> Spectrum:
     """The curve of a CSV file in the same folder, or of a shipped one ("light/houser2013_cool_white_led")."""
-    file, column = document.spectrum.file, document.spectrum.column
-    found = curve_file(path, file)
-    # A missing file is reported under the name in the file.
-    spectrum = read_curve(path, "spectrum", str(found) if is_file(found) else file, column)
+    column = document.spectrum.column
+    spectrum = read_light(path, document.spectrum)
     if document.illuminance_lx is not None and not _is_visible(spectrum):
         allowed = "must contain light in 400 to 700 nm, or give the strength as irradiance_W_m2"
         raise InputError(path, allowed, key="spectrum.column", value=column)

@@ -23,11 +23,6 @@ from pepperscene.document import Document, read_toml, validate
 from pepperscene.spectra.files import Coefficient, SourcedDocument, find_material
 
 _MOST_STRAY, _MOST_IN_ALL = 0.9, 0.95  # chosen: a lens that loses more of its light shows no image
-_SCATTER_WIDTH_UM: Final = (0.01, 1000.0)  # chosen: a hundredth of the smallest pixel to a hundred large ones
-_SCATTER_EXPONENT: Final = (1.05, 10.0)
-"""At 1 the integral over the plane is infinite; chosen just above it. Smooth optics have 1.2 to 1.6."""
-_MAGNIFICATION: Final = (-10.0, 10.0)  # chosen: beyond it, a ghost spreads over a hundred times the image
-_LEAST_RADIUS_MM: Final = 1e-3  # chosen: a pixel
 
 
 @dataclass(frozen=True)
@@ -101,8 +96,9 @@ class StrayLight:
 
 
 Fraction = Annotated[float, Field(ge=0, le=_MOST_STRAY)]
-Magnification = Annotated[float, Field(ge=_MAGNIFICATION[0], le=_MAGNIFICATION[1])]
-Radius = Annotated[float, Field(ge=_LEAST_RADIUS_MM, le=1000)]  # larger than any sensor
+# Chosen: beyond it, a ghost spreads over a hundred times the image.
+Magnification = Annotated[float, Field(ge=-10.0, le=10.0)]
+Radius = Annotated[float, Field(ge=1e-3, le=1000)]  # chosen: from a pixel to more than any sensor
 
 
 class StrayLightTable(Document):
@@ -112,12 +108,10 @@ class StrayLightTable(Document):
     """
 
     scatter: Fraction = StrayLight.scatter
-    scatter_width_um: Annotated[float, Field(ge=_SCATTER_WIDTH_UM[0], le=_SCATTER_WIDTH_UM[1])] = (
-        StrayLight.scatter_width_m * 1e6
-    )
-    scatter_exponent: Annotated[float, Field(ge=_SCATTER_EXPONENT[0], le=_SCATTER_EXPONENT[1])] = (
-        StrayLight.scatter_exponent
-    )
+    # Chosen: a hundredth of the smallest pixel to a hundred large ones.
+    scatter_width_um: Annotated[float, Field(ge=0.01, le=1000)] = StrayLight.scatter_width_m * 1e6
+    # At 1 the integral over the plane is infinite; chosen just above it. Smooth optics have 1.2 to 1.6.
+    scatter_exponent: Annotated[float, Field(ge=1.05, le=10)] = StrayLight.scatter_exponent
     veil: Fraction = StrayLight.veil
     ghost_magnification: tuple[Magnification, ...] = tuple(g.magnification for g in _TYPICAL_GHOSTS)
     ghost_radius_mm: tuple[Radius, ...] = tuple(g.radius_m * 1e3 for g in _TYPICAL_GHOSTS)
@@ -135,25 +129,13 @@ class StrayLightTable(Document):
 
     def stray_light(self) -> StrayLight:
         """The table in metres."""
-        ghosts = zip(self.ghost_magnification, self.ghost_radius_mm, self.ghost_fraction, strict=True)
-        return StrayLight(
-            self.scatter,
-            self.scatter_width_um * 1e-6,
-            self.scatter_exponent,
-            self.veil,
-            tuple(Ghost(scale, radius * 1e-3, fraction) for scale, radius, fraction in ghosts),
-        )
+        lists = zip(self.ghost_magnification, self.ghost_radius_mm, self.ghost_fraction, strict=True)
+        ghosts = tuple(Ghost(scale, radius * 1e-3, fraction) for scale, radius, fraction in lists)
+        width_m = self.scatter_width_um * 1e-6
+        return StrayLight(self.scatter, width_m, self.scatter_exponent, self.veil, ghosts)
 
 
 _MIN_ANGLE_STEP_RAD: Final = 1e-6  # chosen: no table is finer; a thousandth of what an instrument resolves
-
-# Bounds of lens files.
-_FOCAL_LENGTH_MM: Final = (0.1, 10_000.0)
-"""Chosen: endoscopes have 0.3 mm, telescopes of amateurs a few metres."""
-_F_NUMBER: Final = (0.5, 1000.0)
-"""0.5 is the limit of a lens in air, whose cone of light fills a hemisphere; the other end is chosen: pinhole
-cameras have some hundreds."""
-_LEAST_TRANSMITTANCE: Final = 1e-6  # chosen: the densest neutral filters, which watch the sun, have 1e-5
 
 _NO_DISTORTION: Final = Distortion()
 _TYPICAL_STRAY_LIGHT: Final = StrayLight()
@@ -286,8 +268,8 @@ class DistortionTable(Document):
         allowed = MODELS[self.model]
         for name in sorted(self.model_fields_set - {"model"}):
             if name not in allowed:
-                names = ", ".join(allowed)
-                raise ValueError(f"{name} is not a coefficient of the model {self.model}, which has {names}")
+                model = f"the model {self.model}, which has {', '.join(allowed)}"
+                raise ValueError(f"{name} is not a coefficient of {model}")
         return self
 
     def distortion(self) -> DistortionModel:
@@ -301,9 +283,12 @@ SensorMillimetres = Annotated[float, Field(ge=-100, le=100)]
 class LensDocument(SourcedDocument):
     """A file of `materials/lenses`."""
 
-    focal_length_mm: Annotated[float, Field(ge=_FOCAL_LENGTH_MM[0], le=_FOCAL_LENGTH_MM[1])]
-    f_number: Annotated[float, Field(ge=_F_NUMBER[0], le=_F_NUMBER[1])]
-    transmittance: Annotated[float, Field(ge=_LEAST_TRANSMITTANCE, le=1)]
+    # Chosen: endoscopes have 0.3 mm, telescopes of amateurs a few metres.
+    focal_length_mm: Annotated[float, Field(ge=0.1, le=10_000)]
+    # 0.5 is the limit of a lens in air, whose cone of light fills a hemisphere; pinholes have some hundreds.
+    f_number: Annotated[float, Field(ge=0.5, le=1000)]
+    # Chosen: the densest neutral filters, which watch the sun, have 1e-5.
+    transmittance: Annotated[float, Field(ge=1e-6, le=1)]
     fy_over_fx: Annotated[float, Field(ge=FY_OVER_FX[0], le=FY_OVER_FX[1])] = 1.0
     principal_offset_mm: tuple[SensorMillimetres, SensorMillimetres] = (0.0, 0.0)
     distortion: DistortionTable

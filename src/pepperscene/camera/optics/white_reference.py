@@ -65,25 +65,16 @@ def flash_on_panel(flash: Flash, panel: WhiteReference, pose: ArrayLike) -> floa
     """
     normal = np.asarray(pose, float)[:3, :3].T @ panel.normal(pose)
     turn = np.eye(3) if flash.rotation is None else flash.rotation
-    points = flash.emitter_positions()[:, None] + (flash.radius_m * _disc_points()) @ turn.T
+    # On a unit disc across the z axis: Gauss's rule in the squared radius, in which area is uniform.
+    angle = (np.arange(_SPOKES) + 0.5) * (2.0 * np.pi / _SPOKES)
+    node, weight = np.polynomial.legendre.leggauss(_RINGS)
+    radius = np.sqrt(0.5 * (1.0 + node))
+    x, y = (np.outer(radius, along(angle)).ravel() for along in (np.cos, np.sin))
+    disc, weights = np.stack([x, y, np.zeros_like(x)], axis=-1), np.repeat(weight / (2.0 * _SPOKES), _SPOKES)
+    points = flash.emitter_positions()[:, None] + (flash.radius_m * disc) @ turn.T
     towards = np.array([0.0, 0.0, panel.distance_m]) - points
     distance = np.linalg.norm(towards, axis=-1)
     cosine = np.clip(towards @ turn[:, 2] / distance, -1.0, 1.0)
     emitted = np.where(cosine > 0.0, flash.profile.at(np.arccos(cosine)), 0.0)
     received = np.maximum(-(towards @ normal) / distance, 0.0)
-    return float((emitted * received / distance**2 @ _disc_weights()).mean())
-
-
-def _disc_points() -> Array:
-    """`(m, 3)` points on a unit disc across the z axis, for the weights of `_disc_weights`."""
-    angle = (np.arange(_SPOKES) + 0.5) * (2.0 * np.pi / _SPOKES)
-    node, _ = np.polynomial.legendre.leggauss(_RINGS)
-    radius = np.sqrt(0.5 * (1.0 + node))
-    x, y = (np.outer(radius, along(angle)).ravel() for along in (np.cos, np.sin))
-    return np.stack([x, y, np.zeros_like(x)], axis=-1)
-
-
-def _disc_weights() -> Array:
-    """`(m,)` weights with the sum 1: Gauss's rule in the squared radius, in which area is uniform."""
-    _, weight = np.polynomial.legendre.leggauss(_RINGS)
-    return np.repeat(weight / (2.0 * _SPOKES), _SPOKES)
+    return float((emitted * received / distance**2 @ weights).mean())

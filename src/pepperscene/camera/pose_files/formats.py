@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
-import os
-import secrets
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from pepperscene.atomic import atomic_write
 from pepperscene.camera.camera import Camera
 from pepperscene.camera.pose_files.projects import colmap_texts, nerfstudio_text, read_colmap, read_nerfstudio
 from pepperscene.camera.poses.generators import look_at
@@ -161,9 +160,8 @@ def csv_text(poses: PoseList) -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     columns = ["x_m", "y_m", "z_m", *_QUATERNION]
-    rows = [
-        text_of(row) for row in np.hstack([poses.poses[:, :3, 3], quaternions_of(poses.poses[:, :3, :3])])
-    ]
+    numbers = np.hstack([poses.poses[:, :3, 3], quaternions_of(poses.poses[:, :3, :3])])
+    rows = [text_of(row) for row in numbers]
     if poses.times_s is not None:
         columns = ["t_s", *columns]
         rows = [[time, *row] for time, row in zip(text_of(poses.times_s), rows, strict=True)]
@@ -199,7 +197,11 @@ def _read_table(path: Path, text: str) -> _Table:
             if not any(field.strip() for field in fields) or fields[0].startswith("#"):
                 continue
             if not columns:
-                columns = _columns([field.strip() for field in fields], path)
+                names = [field.strip() for field in fields]
+                if repeated := {name for name, count in Counter(names).items() if count > 1}:
+                    allowed = "must name each column once"
+                    raise InputError(path, allowed, key="header", value=min(repeated))
+                columns = {name: number for number, name in enumerate(names)}
                 continue
             if len(fields) != len(columns):
                 problem = f"must have {len(columns)} values, as many as the header, not {len(fields)}"
@@ -219,12 +221,6 @@ def _lines(path: Path, text: str) -> Iterator[str]:
         if len(line) > _LONGEST_LINE:
             raise InputError(path, f"is longer than {_LONGEST_LINE:,} characters", key=f"line {number}")
         yield line
-
-
-def _columns(names: list[str], path: Path) -> dict[str, int]:
-    if repeated := {name for name, count in Counter(names).items() if count > 1}:
-        raise InputError(path, "must name each column once", key="header", value=min(repeated))
-    return {name: i for i, name in enumerate(names)}
 
 
 def _coordinates(prefix: str, names: set[str], path: Path) -> tuple[list[str], float]:
@@ -305,17 +301,17 @@ def write_poses(path: str | Path, poses: PoseList, format: PoseFormat, camera: C
         ArgumentError: the format cannot hold the poses or the camera.
         OutputError: the file cannot be written, or the folder already has a COLMAP model.
     """
-    target = Path(path)
+    target, no_intrinsics = Path(path), {"tum": tum_text, "csv": csv_text}
     if format not in get_args(PoseFormat):
         raise ArgumentError("format", f"must be one of {', '.join(get_args(PoseFormat))}", value=format)
-    if camera is not None and format in ("tum", "csv"):
+    if camera is not None and format in no_intrinsics:
         raise ArgumentError("camera", f"must be None: the format {format} has no intrinsics")
     if format == "colmap":
         _write(target, colmap_texts(poses, camera), is_model=True)
-    elif format == "nerfstudio":
-        _write(target.parent, {target.name: nerfstudio_text(poses, camera)})
     else:
-        _write(target.parent, {target.name: tum_text(poses) if format == "tum" else csv_text(poses)})
+        write = no_intrinsics.get(format)
+        text = nerfstudio_text(poses, camera) if write is None else write(poses)
+        _write(target.parent, {target.name: text})
 
 
 def _file_in(path: Path) -> Path:
@@ -344,22 +340,16 @@ def _format_of(path: Path, text: str) -> PoseFormat:
         return "csv"
     if path.name == "images.txt" or len(fields) >= 10:
         return "colmap"
-    if path.suffix.lower() == ".tum" or _is_number(fields[0]):
-        return "tum"
-    raise InputError(path, f"is not a file of camera poses; {_ALLOWED}")
-
-
-def _is_number(text: str) -> bool:
     try:
-        float(text)
+        if path.suffix.lower() != ".tum":
+            float(fields[0])
     except ValueError:
-        return False
-    return True
+        raise InputError(path, f"is not a file of camera poses; {_ALLOWED}") from None
+    return "tum"
 
 
 def _write(folder: Path, texts: Mapping[str, str], is_model: bool = False) -> None:
     """Write all files, or none: they are complete under temporary names before the first is renamed."""
-    temporary = {name: folder / f".{name}.{secrets.token_hex(8)}.tmp" for name in texts}
     # A single file is named in errors; the files of a model are not what the user has named.
     target = folder if is_model else folder / next(iter(texts))
     try:
@@ -367,17 +357,12 @@ def _write(folder: Path, texts: Mapping[str, str], is_model: bool = False) -> No
             folder.mkdir(parents=True, exist_ok=True)
             if found := [name for name in _MODEL_FILES if (folder / name).exists()]:
                 raise OutputError(f"{folder}: already has a COLMAP model ({found[0]}); choose another folder")
-        for name, text in texts.items():
-            temporary[name].write_text(text, encoding="utf-8", newline="\n")
-        for name in texts:
-            os.replace(temporary[name], folder / name)
+        with ExitStack() as files:
+            for name, text in texts.items():
+                temporary = files.enter_context(atomic_write(folder / name))
+                temporary.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from None
     except ValueError as error:
         # A path that no file system accepts.
         raise OutputError(f"{str(target)!r}: cannot be written ({error})") from None
-    finally:
-        for path in temporary.values():
-            # Where nothing could be written there is nothing to remove, and trying can fail again.
-            with contextlib.suppress(OSError, ValueError):
-                path.unlink(missing_ok=True)

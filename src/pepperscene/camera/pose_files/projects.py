@@ -96,9 +96,8 @@ def nerfstudio_frame(file_path: str, pose: Array) -> dict[str, Any]:
 def _matrix(rows: object, path: Path, key: str) -> list[list[float]]:
     """Four rows of four numbers; the last row may be left out."""
     problem = "must have 4 rows of 4 numbers, the last of them 0, 0, 0, 1"
-    if not isinstance(rows, list) or len(rows) not in (3, 4):
-        raise InputError(path, problem, key=key)
-    if not all(isinstance(row, list) and len(row) == 4 for row in rows):
+    is_matrix = isinstance(rows, list) and all(isinstance(row, list) and len(row) == 4 for row in rows)
+    if not isinstance(rows, list) or not is_matrix or len(rows) not in (3, 4):
         raise InputError(path, problem, key=key)
     matrix = [[finite_number(value, path, key) for value in row] for row in rows]
     last = [0.0, 0.0, 0.0, 1.0]
@@ -143,10 +142,8 @@ def nerfstudio_intrinsics(camera: Camera) -> dict[str, Any]:
     matrix, coefficients = camera.intrinsics, _coefficients(camera)
     is_fisheye = "p1" not in coefficients
     if not is_fisheye and any(coefficients.get(name) for name in ("k4", "k5", "k6")):
-        problem = (
-            "must be k1, k2, p1, p2, k3 or a fisheye's k1 to k4 for nerfstudio; only COLMAP has k4 to k6"
-        )
-        raise ArgumentError("camera", problem, key="lens.distortion")
+        allowed = "must be k1, k2, p1, p2, k3 or a fisheye's k1 to k4 for nerfstudio"
+        raise ArgumentError("camera", f"{allowed}; only COLMAP has k4 to k6", key="lens.distortion")
     return {
         "camera_model": "OPENCV_FISHEYE" if is_fisheye else "OPENCV",
         "fl_x": float(matrix[0, 0]),
@@ -225,12 +222,9 @@ def colmap_texts(poses: PoseList, camera: Camera | None) -> dict[str, str]:
     names = _image_names(poses)
     if len(set(names)) != len(names):
         raise ArgumentError("poses", "must be different for a COLMAP model", key="names")
+    lines = colmap_images(poses.poses, range(1, 1 + len(names)), [1] * len(names), names)
     # An empty line of points follows each image.
-    images = [
-        f"{line}\n\n"
-        for line in colmap_images(poses.poses, range(1, 1 + len(names)), [1] * len(names), names)
-    ]
-    files = {"images.txt": "".join([COLMAP_IMAGES, *images])}
+    files = {"images.txt": COLMAP_IMAGES + "".join(f"{line}\n\n" for line in lines)}
     if camera is not None:
         files["cameras.txt"] = f"{COLMAP_CAMERAS}{colmap_camera(camera)}\n"
         files["points3D.txt"] = COLMAP_POINTS

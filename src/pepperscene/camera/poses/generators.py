@@ -26,11 +26,7 @@ _TOLERANCE: Final = 1e-6  # of a rotation's entries, as in `Camera`
 
 
 def as_points(values: ArrayLike, name: str = "points") -> Array:
-    """`(n, 3)` points from `(..., 3)`, one `(3,)` or an empty list.
-
-    Raises:
-        ArgumentError: `name` has another shape, or is not made of numbers.
-    """
+    """`(n, 3)` points from `(..., 3)`, one `(3,)` or an empty list; else raises `ArgumentError`."""
     array = _numbers(values, name, "(n, 3)")
     if array.shape == (0,):
         return array.reshape(0, 3)
@@ -40,11 +36,7 @@ def as_points(values: ArrayLike, name: str = "points") -> Array:
 
 
 def as_poses(values: ArrayLike, name: str = "poses") -> Array:
-    """`(n, 4, 4)` poses from `(n, 4, 4)`, one `(4, 4)` or an empty list.
-
-    Raises:
-        ArgumentError: `name` has another shape, or is not made of numbers.
-    """
+    """`(n, 4, 4)` poses from `(n, 4, 4)`, one `(4, 4)` or an empty list; else raises `ArgumentError`."""
     array = _numbers(values, name, "(n, 4, 4)")
     if array.shape == (0,):
         return array.reshape(0, 4, 4)
@@ -54,11 +46,7 @@ def as_poses(values: ArrayLike, name: str = "poses") -> Array:
 
 
 def as_positions(values: ArrayLike, name: str = "points") -> Array:
-    """`(n, 3)` positions: points as `as_points` takes them, or those of poses, as `as_poses` takes them.
-
-    Raises:
-        ArgumentError: `name` has neither shape, or is not made of numbers.
-    """
+    """`(n, 3)` positions: points as `as_points` takes them, or those of poses, as `as_poses` takes them."""
     array = _numbers(values, name, "(n, 3) or (n, 4, 4)")
     if array.ndim in (2, 3) and array.shape[-2:] == (4, 4):
         return array.reshape(-1, 4, 4)[:, :3, 3]
@@ -75,11 +63,7 @@ def _numbers(values: ArrayLike, name: str, shape: str) -> Array:
 
 
 def check_poses(poses: NDArray[np.float64]) -> None:
-    """Check that matrices `(n, 4, 4)` are rotations and translations.
-
-    Raises:
-        ValueError: one of them is not, or is not finite.
-    """
+    """Raise ValueError unless matrices `(n, 4, 4)` are rotations and translations, and finite."""
     rotation = poses[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         error = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
@@ -90,22 +74,8 @@ def check_poses(poses: NDArray[np.float64]) -> None:
         raise ValueError(f"pose {number} must be a rotation and a translation, without scale or reflection")
 
 
-def check_times(times_s: NDArray[np.float64]) -> None:
-    """Check that times `(n,)` are finite and ascending.
-
-    Raises:
-        ValueError: they are not, or two are equal.
-    """
-    if not np.isfinite(times_s).all() or not np.all(np.diff(times_s) > 0):
-        raise ValueError("times must be finite and ascending, without duplicates")
-
-
 def check_intervals(times_s: NDArray[np.float64]) -> None:
-    """Check that velocities can be computed from times `(n,)`.
-
-    Raises:
-        ValueError: they are not ascending, within `LATEST_S` and at least `LEAST_INTERVAL_S` apart.
-    """
+    """Raise ValueError unless times `(n,)` ascend, within `LATEST_S`, by `LEAST_INTERVAL_S` or more."""
     if not np.all(np.abs(times_s) <= LATEST_S) or too_close(times_s).any():
         allowed = f"at least {LEAST_INTERVAL_S:g} s apart, from {-LATEST_S:g} to {LATEST_S:g} s"
         raise ValueError(f"times must be ascending, {allowed}")
@@ -161,10 +131,8 @@ def arc_path(
     """
     if count < 1 or not distance_m > 0:
         raise ValueError("at least one pose and a positive distance are needed")
-    azimuth = np.linspace(*azimuth_rad, count)
-    height = np.linspace(*height_m, count)
-    axis = np.column_stack([np.full(count, centre[0]), np.full(count, centre[1]), height])
-    return _facing(axis, distance_m, azimuth, pitch_rad)
+    axis = np.column_stack([np.tile(centre, (count, 1)), np.linspace(*height_m, count)])
+    return _facing(axis, distance_m, np.linspace(*azimuth_rad, count), pitch_rad)
 
 
 def grid_poses(
@@ -249,7 +217,5 @@ def _facing(
     inward = np.stack([-np.sin(azimuth_rad), np.cos(azimuth_rad), np.zeros(len(axis))], axis=-1)
     up = np.array([0.0, 0.0, 1.0])
     forward = np.cos(pitch_rad) * inward + np.sin(pitch_rad) * up
-    positions = axis - distance_m * inward
-    return np.stack(
-        [pose_along(position, view, up) for position, view in zip(positions, forward, strict=True)]
-    )
+    views = zip(axis - distance_m * inward, forward, strict=True)
+    return np.stack([pose_along(position, view, up) for position, view in views])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.camera.poses.generators import (
     LATEST_S,
@@ -80,11 +80,7 @@ def is_name(name: str) -> bool:
 
 
 def check_name(name: object, path: Path, key: str) -> None:
-    """Check a pose's name in a file.
-
-    Raises:
-        InputError: it is not text as of `is_name`.
-    """
+    """Raise `InputError` unless a pose's name in a file is text as of `is_name`."""
     if not isinstance(name, str) or not is_name(name):
         raise InputError(path, "must be a name of printable characters", key=key, value=name)
 
@@ -97,11 +93,7 @@ def rigid_poses(rotation: Array, position: Array) -> Array:
 
 
 def finite_number(value: object, path: Path, key: str) -> float:
-    """A number of a file, from text or JSON.
-
-    Raises:
-        InputError: it is not a finite number.
-    """
+    """A number of a file, from text or JSON; raises `InputError` if it is not finite."""
     number = math.nan
     # Python would also convert true, an int, and text with underscores, "1_000".
     is_excluded = isinstance(value, bool) or (isinstance(value, str) and "_" in value)
@@ -114,17 +106,15 @@ def finite_number(value: object, path: Path, key: str) -> float:
 
 
 def rotations_of_quaternions(quaternions: Array, path: Path, label: Label) -> Array:
-    """`(n, 3, 3)` of quaternions `(n, 4)` in the order x, y, z, w, normalised if their length is nearly 1.
+    """`(n, 3, 3)` of quaternions `(n, 4)` in the order x, y, z, w, normalised.
 
-    Raises:
-        InputError: a length is not within 0.001 of 1.
+    Raises `InputError` if a length is not within 0.001 of 1.
     """
     from scipy.spatial.transform import Rotation
 
     with np.errstate(over="ignore"):
         length = np.linalg.norm(quaternions, axis=1)
-    if (wrong := ~(np.abs(length - 1) <= _TOLERANCE)).any():
-        number = int(np.argmax(wrong))
+    if (number := _first(~(np.abs(length - 1) <= _TOLERANCE))) is not None:
         problem = (
             f"must be a quaternion of length 1 within {_TOLERANCE:g}; its length is {length[number]:.6g}"
         )
@@ -133,17 +123,12 @@ def rotations_of_quaternions(quaternions: Array, path: Path, label: Label) -> Ar
 
 
 def nearest_rotations(matrices: Array, path: Path, label: Label) -> Array:
-    """`(n, 3, 3)` rotations nearest to matrices `(n, 3, 3)` that are rotations up to rounding.
-
-    Raises:
-        InputError: a matrix is not a rotation within 0.001.
-    """
+    """`(n, 3, 3)` rotations nearest to matrices `(n, 3, 3)`; raises `InputError` if one is no rotation."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(matrices @ np.swapaxes(matrices, 1, 2) - np.eye(3)).max(axis=(1, 2))
         wrong = ~(error <= _TOLERANCE) | ~(np.linalg.det(matrices) > 0)
-    if wrong.any():
-        problem = "must contain a rotation, without scale or reflection"
-        raise InputError(path, problem, key=label(int(np.argmax(wrong))))
+    if (number := _first(wrong)) is not None:
+        raise InputError(path, "must contain a rotation, without scale or reflection", key=label(number))
     # The orthogonal factor of the polar decomposition.
     left, _, right = np.linalg.svd(matrices)
     return np.asarray(left @ right)
@@ -157,40 +142,31 @@ def quaternions_of(rotation: Array) -> Array:
 
 
 def ascending_times(times: list[float], path: Path, label: Label) -> Array:
-    """Times `(n,)` of a file.
-
-    Raises:
-        InputError: one is beyond `LATEST_S`, or not at least `LEAST_INTERVAL_S` after the one before it.
-    """
+    """Times `(n,)` of a file; raises `InputError` unless they are within `LATEST_S` and far enough apart."""
     values = np.array(times)
-    if (wrong := ~(np.abs(values) <= LATEST_S)).any():
-        number = int(np.argmax(wrong))
+    if (number := _first(~(np.abs(values) <= LATEST_S))) is not None:
         problem = f"must be from {-LATEST_S:g} to {LATEST_S:g} s"
         raise InputError(path, problem, key=f"{label(number)}, time", value=times[number])
-    if (wrong := too_close(values)).any():
-        number = int(np.argmax(wrong)) + 1
-        problem = f"must be after the time before it, {times[number - 1]!r}, by {LEAST_INTERVAL_S:g} s"
-        raise InputError(path, problem, key=f"{label(number)}, time", value=times[number])
+    if (number := _first(too_close(values))) is not None:
+        problem = f"must be after the time before it, {times[number]!r}, by {LEAST_INTERVAL_S:g} s"
+        raise InputError(path, problem, key=f"{label(number + 1)}, time", value=times[number + 1])
     return values
 
 
 def check_positions(position: Array, path: Path, label: Label) -> None:
-    """Check positions `(n, 3)` in metres.
-
-    Raises:
-        InputError: a coordinate is beyond 1000 km.
-    """
-    if (wrong := ~(np.abs(position) <= _FARTHEST_M).all(axis=1)).any():
+    """Raise `InputError` if a coordinate of positions `(n, 3)` is beyond 1000 km."""
+    if (number := _first(~(np.abs(position) <= _FARTHEST_M).all(axis=1))) is not None:
         problem = f"must have a position within {_FARTHEST_M:,.0f} m of the origin"
-        raise InputError(path, problem, key=label(int(np.argmax(wrong))))
+        raise InputError(path, problem, key=label(number))
+
+
+def _first(wrong: ArrayLike) -> int | None:
+    """The number of the first entry that is wrong."""
+    return int(np.argmax(wrong)) if np.any(wrong) else None
 
 
 def check_count(count: int, path: Path) -> None:
-    """Check the number of poses while a file is read.
-
-    Raises:
-        InputError: there are none, or more than 100,000.
-    """
+    """Raise `InputError` if a file has no poses, or more than 100,000."""
     if not 1 <= count <= MAX_POSES:
         problem = "contains no poses" if count < 1 else f"contains more than {MAX_POSES:,} poses"
         raise InputError(path, f"{problem}; 1 to {MAX_POSES:,} are allowed")

@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.camera.poses.generators import (
-    MAX_POSES,
-    check_intervals,
-    check_poses,
-    check_times,
-    pose_along,
-)
+from pepperscene.camera.poses.generators import MAX_POSES, check_intervals, check_poses, pose_along
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -64,7 +58,8 @@ class Trajectory:
                 raise ValueError(f"{name} must be finite, with the shape {shape}, not {values.shape}")
             values.setflags(write=False)
             object.__setattr__(self, name, values)
-        check_times(self.times_s)
+        if not np.all(np.diff(self.times_s) > 0):
+            raise ValueError("times must be finite and ascending, without duplicates")
 
     def __len__(self) -> int:
         return len(self.times_s)

@@ -56,11 +56,12 @@ class AreaAverage:
         central slopes; B. van Leer, "Towards the ultimate conservative difference scheme III", J. Comput.
         Phys. 23 (1977) 263).
         """
-        parts = np.array_split(pixels, pixels.size // _PART + 1, axis=1 - axis)
-        spread = [self._spread(part, axis) for part in parts]
-        return spread[0] if len(spread) == 1 else np.concatenate(spread, axis=1 - axis)
+        lines = np.moveaxis(pixels, axis, 0)
+        parts = [self._spread(part) for part in np.array_split(lines, lines.size // _PART + 1, axis=1)]
+        return np.moveaxis(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1), 0, axis)
 
-    def _spread(self, pixels: NDArray[np.floating], axis: int) -> Floats:
+    def _spread(self, pixels: NDArray[np.floating]) -> Floats:
+        """`spread` along the first axis."""
         # A photosite's light: of each pixel its value times the overlap, and its slope times the overlap's
         # moment about the pixel's middle; over the whole pixel the latter is 0, which keeps its light.
         overlaps, moments = _overlaps(self).T.tocsr(), _moments(self).T.tocsr()
@@ -68,9 +69,9 @@ class AreaAverage:
         # A photosite outside the image has no pixel, and takes that of its neighbour.
         inside = np.flatnonzero(covered > 0)
         nearest = inside[np.clip(np.searchsorted(inside, np.arange(self.sites)), 0, len(inside) - 1)]
-        light = _along(overlaps, pixels, axis) + _along(moments, _limited_slopes(pixels, axis), axis)
-        means = light / _column(covered.clip(1e-12), axis, pixels.ndim)
-        return np.asarray(np.take(means, nearest, axis=axis), np.float32)
+        light = _product(overlaps, pixels) + _product(moments, _limited_slopes(pixels))
+        means = (light.T / covered.clip(1e-12)).T
+        return np.asarray(means[nearest], np.float32)
 
     def average(self, sites: NDArray[np.floating], axis: int, pixels: slice = slice(None)) -> Floats:
         """Mean over each pixel's area of the photosites along `axis`.
@@ -78,7 +79,8 @@ class AreaAverage:
         Of some pixels, from the photosites of `sites_of` alone.
         """
         overlaps = _overlaps(self)[pixels, self.sites_of(pixels)]
-        return np.asarray(_along(overlaps, sites, axis) / float(self.factor), np.float32)
+        means = np.moveaxis(_product(overlaps, np.moveaxis(sites, axis, 0)), 0, axis)
+        return np.asarray(means / float(self.factor), np.float32)
 
     def sites_of(self, pixels: slice) -> slice:
         """The photosites that some pixels overlap, an even number of them from an even one on."""
@@ -121,26 +123,15 @@ def _matrix(area: AreaAverage, value: Callable[[Fraction, Fraction, Fraction], F
     return csr_array((values, (rows, columns)), shape=(area.pixels, area.sites))
 
 
-def _limited_slopes(pixels: NDArray[np.floating], axis: int) -> NDArray[np.floating]:
-    """Slopes per pixel along an axis that overshoot no neighbour: 0 at extrema and at the edges."""
-    steps = np.diff(pixels, axis=axis)
-    widths = [(0, 0)] * pixels.ndim
-    before, after = (
-        np.pad(steps, [*widths[:axis], width, *widths[axis + 1 :]]) for width in ((1, 0), (0, 1))
-    )
+def _limited_slopes(pixels: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Slopes per pixel along the first axis that overshoot no neighbour: 0 at extrema and at the edges."""
+    edge = np.zeros_like(pixels[:1])
+    steps = np.concatenate([edge, np.diff(pixels, axis=0), edge])
+    before, after = steps[:-1], steps[1:]
     size = np.minimum(np.abs(before + after) / 2, 2 * np.minimum(np.abs(before), np.abs(after)))
     return np.where(before * after > 0, np.sign(before) * size, 0.0)
 
 
-def _along(matrix: csr_array, values: NDArray[np.floating], axis: int) -> NDArray[np.float64]:
-    """The product of a matrix with `values` along an axis."""
-    moved = np.moveaxis(values, axis, 0)
-    product = matrix @ moved.reshape(len(moved), -1)
-    return np.moveaxis(product.reshape(-1, *moved.shape[1:]), 0, axis)
-
-
-def _column(values: NDArray[np.float64], axis: int, dimensions: int) -> NDArray[np.float64]:
-    """Values that broadcast along an axis."""
-    shape = [1] * dimensions
-    shape[axis] = -1
-    return values.reshape(shape)
+def _product(matrix: csr_array, values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The product of a matrix with `values` along their first axis."""
+    return (matrix @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])

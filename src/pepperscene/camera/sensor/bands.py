@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from pepperscene.document import Document
 from pepperscene.errors import InputError
 from pepperscene.spectra import Spectrum
-from pepperscene.spectra.files import NonEmptyText, read_spectra
+from pepperscene.spectra.files import NonEmptyText, cell_error, read_spectra
 
 Array = NDArray[np.float64]
 BandShape = Literal["gaussian", "box"]
@@ -27,17 +27,14 @@ _REACH: Final = 2.0
 filters block more than a ten-thousandth of the light beside their band."""
 MOST_BANDS: Final = 1000
 """Chosen: line scanners have up to 950 (Headwall Hyperspec VNIR E series)."""
-_CENTRE_NM: Final = (200.0, 2500.0)
-"""Chosen from the deep ultraviolet; the optics of plants are known up to 2500 nm."""
-_WIDTH_NM: Final = (1.0, 1000.0)
-"""Full width at half maximum. Chosen: light is traced on a grid of half nanometres, and the widest filters
-pass all that silicon detects."""
 DEFAULT_PEAK: Final = 0.5
 """Electrons per photon. Chosen: silicon behind a filter has 0.3 to 0.7 in its best range."""
-Centre = Annotated[float, Field(ge=_CENTRE_NM[0], le=_CENTRE_NM[1])]
-Width = Annotated[float, Field(ge=_WIDTH_NM[0], le=_WIDTH_NM[1])]
+Centre = Annotated[float, Field(ge=200.0, le=2500.0)]
+"""Chosen from the deep ultraviolet; the optics of plants are known up to 2500 nm."""
+Width = Annotated[float, Field(ge=1.0, le=1000.0)]
+"""Full width at half maximum. Chosen: light is traced on a grid of half nanometres, and the widest filters
+pass all that silicon detects."""
 Peak = Annotated[float, Field(ge=1e-6, le=1)]
-Shape = Literal["gaussian", "box"]
 
 
 @dataclass(frozen=True)
@@ -60,15 +57,11 @@ class Band:
         return {"name": self.name, "centre_nm": self.centre_nm, "width_nm": self.width_nm}
 
 
-def band_curves(
-    centre_nm: Sequence[float],
-    width_nm: Sequence[float],
-    peak: Sequence[float],
-    shape: Sequence[BandShape],
-) -> Spectrum:
+def band_curves(bands: Sequence[BandTable]) -> Spectrum:
     """The responses `(c, n)` of c bands: Gaussians or boxes of given widths at half maximum and peaks."""
-    centres, widths, peaks = (np.asarray(values, float)[:, None] for values in (centre_nm, width_nm, peak))
-    is_box = np.array([each == "box" for each in shape])[:, None]
+    numbers = np.array([(band.centre_nm, band.width_nm, band.peak) for band in bands])
+    centres, widths, peaks = numbers.T[..., None]
+    is_box = np.array([band.shape == "box" for band in bands])[:, None]
     reach = np.where(is_box, 0.5, _REACH) * widths + _STEP_NM
     first, last = (centres - reach).min() / _STEP_NM, (centres + reach).max() / _STEP_NM
     nm = _STEP_NM * np.arange(math.floor(first), math.ceil(last) + 1)
@@ -117,7 +110,7 @@ class BandTable(Document):
     width_nm: Width
     name: NonEmptyText | None = None
     peak: Peak = DEFAULT_PEAK
-    shape: Shape = "gaussian"
+    shape: BandShape = "gaussian"
 
 
 class RegularBandsTable(Document):
@@ -128,7 +121,7 @@ class RegularBandsTable(Document):
     count: Annotated[int, Field(ge=2, le=MOST_BANDS)]
     width_nm: Width
     peak: Peak = DEFAULT_PEAK
-    shape: Shape = "gaussian"
+    shape: BandShape = "gaussian"
 
     @model_validator(mode="after")
     def _check_order(self) -> RegularBandsTable:
@@ -148,28 +141,19 @@ BandTables = tuple[BandTable, ...] | RegularBandsTable | BandCurvesTable
 
 
 def read_bands(path: Path, tables: BandTables) -> tuple[Spectrum, tuple[str, ...]]:
-    """The responses `(c, n)` of the bands of a sensor file, and their names; "" for a band without one.
-
-    Raises:
-        InputError: a name occurs twice, or the CSV file is missing or invalid.
-    """
+    """The responses `(c, n)` of the bands of a sensor file, and their names; "" for a band without one."""
     if isinstance(tables, BandCurvesTable):
         return _read_curves(path, tables)
     if isinstance(tables, RegularBandsTable):
+        width_nm, peak, shape = tables.width_nm, tables.peak, tables.shape
         centres = np.linspace(tables.first_nm, tables.last_nm, tables.count).tolist()
-        widths, peaks = [tables.width_nm] * tables.count, [tables.peak] * tables.count
-        return band_curves(centres, widths, peaks, [tables.shape] * tables.count), ()
+        bands = [BandTable(centre_nm=nm, width_nm=width_nm, peak=peak, shape=shape) for nm in centres]
+        return band_curves(bands), ()
     names = tuple(band.name or "" for band in tables)
     for number, name in enumerate(names):
         if name and name in names[:number]:
             raise InputError(path, "must be different for each band", key=f"bands.{number}.name", value=name)
-    curves = band_curves(
-        [band.centre_nm for band in tables],
-        [band.width_nm for band in tables],
-        [band.peak for band in tables],
-        [band.shape for band in tables],
-    )
-    return curves, names if any(names) else ()
+    return band_curves(tables), names if any(names) else ()
 
 
 def _read_curves(path: Path, table: BandCurvesTable) -> tuple[Spectrum, tuple[str, ...]]:
@@ -190,6 +174,5 @@ def _read_curves(path: Path, table: BandCurvesTable) -> tuple[Spectrum, tuple[st
         values = found[name].values
         if not (values.min() >= 0 and values.max() <= 1):
             row = int(np.argmax((values < 0) | (values > 1)))
-            key = f"row {row + 2}, column {name}"
-            raise InputError(file, "must be from 0 to 1", key=key, value=float(values[row]))
+            raise cell_error(file, row, name, values[row], "must be from 0 to 1")
     return Spectrum(nm, np.stack([found[name].values for name in names])), names

@@ -11,7 +11,7 @@ import dataclasses
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,11 @@ from pepperscene.camera.sensor.sensor import Sensor
 from pepperscene.spectra import colour_science
 
 Floats = NDArray[np.float32]
+Real = TypeVar("Real", np.float32, np.float64)
 _FEW_ELECTRONS: Final = 32.0  # chosen: below, single electrons and the lack of negative counts could show
 _MAX_ELECTRONS: Final = 1e18  # chosen: beyond any light, and far from where single precision ends
 _STRIP: Final = 1 << 18  # chosen: photosites processed at once, so that they stay in the cache
-DEMOSAIC_MARGIN: Final = (
-    8  # photosites; even, to keep the pattern, and beyond the reach of the widest demosaic filter
-)
+DEMOSAIC_MARGIN: Final = 8  # photosites; even, to keep the pattern, and beyond the reach of all filters
 Strips = Iterator[tuple[slice, Floats]]
 """Rows of the image, and values of theirs, from top to bottom."""
 
@@ -115,11 +114,11 @@ def average_areas(colours: Floats, sensor: Sensor, rows: slice = slice(None)) ->
 def bin_photosites(sites: Floats, sensor: Sensor) -> Floats:
     """`(h, w, c)` means over each pixel's photosites of a colour, for sensors that need no demosaicing."""
     if sensor.pattern in ("mono", "bands"):
-        return _block_means(sites, sensor.binning)[..., None]
+        return block_means(sites, sensor.binning)[..., None]
     pixels = np.zeros((sensor.rows, sensor.columns, 3), np.float32)
     for row, column, channel in _quad_sites(sensor):
         weight = np.float32(0.5 if channel == 1 else 1.0)  # two of a quad's photosites are green
-        pixels[..., channel] += weight * _block_means(sites[row::2, column::2], sensor.binning // 2)
+        pixels[..., channel] += weight * block_means(sites[row::2, column::2], sensor.binning // 2)
     return pixels
 
 
@@ -134,11 +133,13 @@ def _upscale(plane: NDArray[np.floating], times: int) -> NDArray[np.floating]:
     return plane if times == 1 else plane.repeat(times, axis=0).repeat(times, axis=1)
 
 
-def _block_means(plane: Floats, size: int) -> Floats:
+def block_means(image: NDArray[Real], size: int) -> NDArray[Real]:
+    """`(h // size, w // size, ...)` means of blocks of pixels, without rows and columns that fill none."""
     if size == 1:
-        return plane
-    rows, columns = plane.shape
-    return plane.reshape(rows // size, size, columns // size, size).mean(axis=(1, 3))
+        return image
+    rows, columns = image.shape[0] // size, image.shape[1] // size
+    blocks = image[: rows * size, : columns * size].reshape(rows, size, columns, size, *image.shape[2:])
+    return blocks.mean(axis=(1, 3))
 
 
 def demosaic_image(sites: Floats, pattern: str, method: Demosaic) -> Floats:

@@ -25,14 +25,11 @@ from pepperscene.spectra.files import (
     NonEmptyText,
     NonNegative,
     SourcedDocument,
+    cell_error,
     find_material,
     read_curve,
 )
 
-# Bounds of sensor files.
-_PITCH_UM: Final = (0.1, 1000.0)
-"""Chosen: two photosites within a quarter of a wavelength of light see the same (the smallest that are made
-have 0.5 um), and the largest pixels of X-ray detectors have 0.2 mm."""
 MAX_PHOTOSITES: Final = 500_000_000
 """Chosen: the sensors with the most have 410 million (Canon 2025), and an image needs 4 bytes for each."""
 _LONGEST_LINE_US: Final = 10_000.0  # chosen: a second for a hundred rows
@@ -57,7 +54,9 @@ class SensorDocument(SourcedDocument):
     rows: Annotated[int, Field(ge=1, le=20_000)]
     pattern: Pattern
     binning: Annotated[int, Field(ge=1, le=16)]
-    pitch_um: Annotated[float, Field(ge=_PITCH_UM[0], le=_PITCH_UM[1])]
+    # Chosen: two photosites within a quarter of a wavelength of light see the same (the smallest that are
+    # made have 0.5 um), and the largest pixels of X-ray detectors have 0.2 mm.
+    pitch_um: Annotated[float, Field(ge=0.1, le=1000)]
     full_well_e: Annotated[float, Field(ge=1, le=1e9)]
     read_noise_e: Annotated[float, Field(ge=0, le=1e9)]
     bits: Annotated[int, Field(ge=1, le=MAX_BITS)]
@@ -153,20 +152,13 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
         band_names=names,
         line_scan=document.line_scan,
     )
-    cut = document.infrared_cut
-    return (
-        sensor
-        if cut is None
-        else sensor.with_filter(read_fraction(path, "infrared_cut", cut.file, cut.column))
-    )
+    if (cut := document.infrared_cut) is None:
+        return sensor
+    return sensor.with_filter(read_fraction(path, "infrared_cut", cut.file, cut.column))
 
 
 def _read_response(path: Path, document: SensorDocument) -> tuple[Spectrum, tuple[str, ...]]:
-    """The quantum efficiency `(c, n)` of a sensor file's channels, and the names of its bands.
-
-    Raises:
-        InputError: a file is missing or not valid, or a channel detects nothing.
-    """
+    """The quantum efficiency `(c, n)` of a sensor file's channels, and the names of its bands."""
     table, tables = document.quantum_efficiency, document.band_tables
     bands, names = (None, ()) if tables is None else read_bands(path, tables)
     curves: dict[str, Spectrum] = {}
@@ -205,15 +197,10 @@ def load_filter(name_or_path: str | Path) -> Filter:
 
 
 def read_fraction(path: Path, table: str, file: str, column: str) -> Spectrum:
-    """Read a curve within [0, 1] from a column of the CSV file next to `path`; it is 0 beyond its range.
-
-    Raises:
-        InputError: the file or the column is missing, or a value is out of range.
-    """
+    """As `read_curve`; raises `InputError` if a value is above 1, too."""
     spectrum = read_curve(path, table, file, column)
     above = spectrum.values > 1.0
     if above.any():
         row = int(np.argmax(above))
-        key = f"row {row + 2}, column {column}"  # as a text editor counts: the header is row 1
-        raise InputError(path.parent / file, "must be at most 1", key=key, value=float(spectrum.values[row]))
+        raise cell_error(path.parent / file, row, column, spectrum.values[row], "must be at most 1")
     return spectrum

@@ -104,8 +104,7 @@ def _load_processor(
     processor: ImageProcessor, where: str | Path, sensor: Sensor, files: NamedFiles
 ) -> ImageProcessor:
     """The image signal processor with the values of its preset, and its tone curve read."""
-    from pepperscene.camera.isp.processor import TONE_CURVES
-    from pepperscene.camera.isp.processor_files import load_processor, read_tone_curve
+    from pepperscene.camera.isp.processor import TONE_CURVES, load_processor, read_tone_curve
 
     key = "developing.isp"
     if sensor.pattern == "bands":
