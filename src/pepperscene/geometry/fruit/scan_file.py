@@ -27,7 +27,7 @@ from pepperscene.geometry.fruit.scan_triangles import (
     checked_triangles,
     damaged_scan,
 )
-from pepperscene.geometry.mesh import FloatArray
+from pepperscene.geometry.mesh import FloatArray, join_colours
 from pepperscene.user_files import MissingFileError, open_file
 
 _MAX_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 100_000_000, ".stl": 100_000_000}
@@ -68,7 +68,9 @@ def read_triangles(path: Path, *, colour: bool = False) -> ScanTriangles:
     check_count(sum(len(body.faces) for body in bodies), path)
     first = np.cumsum([0, *(len(body.vertices) for body in bodies)])
     faces = np.concatenate([body.faces + start for body, start in zip(bodies, first, strict=False)])
-    return ScanTriangles(np.concatenate([body.vertices for body in bodies]), faces, _joined_colours(bodies))
+    # Points of a body without colours are white.
+    colours = join_colours([(body.colours, len(body.vertices)) for body in bodies], 1.0)
+    return ScanTriangles(np.concatenate([body.vertices for body in bodies]), faces, colours)
 
 
 def _read_content(path: Path) -> bytes:
@@ -226,12 +228,3 @@ def _guarded(read: Callable[[], list[ScanTriangles]], path: Path) -> list[ScanTr
         # A missing key or index alone, or a missing package, would not be understood.
         message = " ".join(str(error).split())[:200]
         raise damaged_scan(path, f"{type(error).__name__}: {message}") from error
-
-
-def _joined_colours(bodies: list[ScanTriangles]) -> FloatArray | None:
-    """Colours of all points; None if no body has any, white for a body without."""
-    if all(body.colours is None for body in bodies):
-        return None
-    return np.concatenate(
-        [np.ones_like(body.vertices) if body.colours is None else body.colours for body in bodies]
-    )
