@@ -184,7 +184,7 @@ class LeafSolver:
     def _select_units(self, number: int) -> list[MovableUnit]:
         """The units to try: of every pair of one organ, in later passes of both."""
         pairs, leafy = self.crossings.pairs, self.crossings.leafy
-        crossings = self.crossings.numbers()
+        crossings = np.bincount(pairs.ravel(), minlength=len(self._organs))
         if number >= _LARGE_UNITS:
             chosen = np.unique(pairs)
         else:
