@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.classes import Appearance, OrganClass
 from pepperscene.errors import ArgumentError
-from pepperscene.geometry.mesh import PIGMENTS, Mesh
+from pepperscene.geometry.mesh import PIGMENTS, FloatArray, Mesh
 
 if TYPE_CHECKING:
     from pepperscene.materials import Surface
-
-FloatArray = NDArray[np.float64]
 
 NATURAL_NM: Final = np.arange(380.0, 781.0, 5.0)
 """Wavelengths of the surfaces, nm."""
