@@ -93,11 +93,8 @@ def test_several_scans_have_weights_and_are_files_of_the_cultivar(tmp_path: Path
     child = load_cultivar(write(tmp_path, extends="parent.toml", organs={"fruit": one})).kinds["fruit"].scans
     assert child is not None
     assert (child.files, child.weights) == (files[1:], ())
-    none = {"scan": [], "scan_weights": []}
-    assert (
-        load_cultivar(write(tmp_path, extends="parent.toml", organs={"fruit": none})).kinds["fruit"].scans
-        is None
-    )
+    none = load_cultivar(write(tmp_path, extends="parent.toml", organs={"fruit": {**one, "scan": []}}))
+    assert none.kinds["fruit"].scans is None
 
 
 ERRORS: dict[str, tuple[dict[str, Any], str, str]] = {
@@ -145,7 +142,8 @@ start.carotenoid_ug_cm2 = 4
 start.water_cm = 0.02
 start.dry_matter_g_cm2 = 0.004
 """
-OWN_FAULTS = {
+# The extended file, a fault, its key, and for faults of a parent the text of its child.
+FAULTS = {
     "incomplete pigments": ("red_blocky", INCOMPLETE_PIGMENTS, "pigments.fruit.end"),
     "another form": ("tomato", '[organs.lamina]\nform = "stalk"', "organs.lamina.length"),
     "like another form": (
@@ -166,42 +164,30 @@ OWN_FAULTS = {
         "organs.lamina",
     ),
     "unknown table": ("kaite", "[leaf]\nlength = 3", "leaf"),
-}
-
-
-@pytest.mark.parametrize("fault", OWN_FAULTS)
-def test_a_fault_of_the_extending_file_names_that_file(fault: str, tmp_path: Path) -> None:
-    extended, text, key = OWN_FAULTS[fault]
-    mine = tmp_path / "mine.toml"
-    mine.write_text(f'extends = "{extended}"\n{text}\n')
-    with pytest.raises(InputError) as caught:
-        load_cultivar(mine)
-    assert caught.value.where == str(mine)
-    assert caught.value.key == key
-
-
-PARENT_FAULTS = {
-    "pigments": (INCOMPLETE_PIGMENTS, "", "pigments.fruit.end"),
+    "pigments of a parent": ("kaite", INCOMPLETE_PIGMENTS, "pigments.fruit.end", ""),
     "organ of the same form": (
+        "kaite",
         "[organs.fruit.diameter]\nmean_mm = -3",
-        '[organs.fruit]\nform = "fruit"',
         "organs.fruit.diameter",
+        '[organs.fruit]\nform = "fruit"',
     ),
     "slot": (
+        "kaite",
         '[[organs.node.bears]]\nname = "leaf"\nlift = "up"',
-        '[[organs.node.bears]]\nname = "leaf"\nfirst = 3',
         "organs.node.bears.0.lift",
+        '[[organs.node.bears]]\nname = "leaf"\nfirst = 3',
     ),
 }
 
 
-@pytest.mark.parametrize("fault", PARENT_FAULTS)
-def test_a_fault_of_the_extended_file_names_that_file(fault: str, tmp_path: Path) -> None:
-    faulty, good, key = PARENT_FAULTS[fault]
-    parent, mine = tmp_path / "parent.toml", tmp_path / "mine.toml"
-    parent.write_text(f'extends = "kaite"\n{faulty}\n')
-    mine.write_text(f'extends = "parent.toml"\n{good}\n')
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_names_the_file_that_has_it(fault: str, tmp_path: Path) -> None:
+    extended, text, key, *below = FAULTS[fault]
+    faulty = loaded = tmp_path / "faulty.toml"
+    faulty.write_text(f'extends = "{extended}"\n{text}\n')
+    for good in below:
+        loaded = tmp_path / "mine.toml"
+        loaded.write_text(f'extends = "faulty.toml"\n{good}\n')
     with pytest.raises(InputError) as caught:
-        load_cultivar(mine)
-    assert caught.value.where == str(parent)
-    assert caught.value.key == key
+        load_cultivar(loaded)
+    assert (caught.value.where, caught.value.key) == (str(faulty), key)

@@ -115,9 +115,9 @@ def test_ply_has_class_and_instance_of_each_face():
         np.testing.assert_array_equal(vertex[name], expected)
 
 
-def glb_content(mesh=MESH):
+def glb_content(mesh=MESH, colours=LEAF_COLOURS):
     """The JSON part of a binary glTF file."""
-    content = mesh_files(mesh, "a.glb", LEAF_COLOURS)["a.glb"]
+    content = mesh_files(mesh, "a.glb", colours)["a.glb"]
     magic, version, length, size, kind = struct.unpack("<4sIII4s", content[:20])
     assert (magic, version, length, kind) == (b"glTF", 2, len(content), b"JSON")
     return json.loads(content[20 : 20 + size])
@@ -149,11 +149,16 @@ def test_each_organ_is_below_the_nearest_of_its_ancestors_that_has_triangles(lef
     assert tuple(found.get(name, "") for name in NAMES) == parents
 
 
-def test_glb_has_the_given_colours_or_those_of_the_class():
-    materials = glb_content()["materials"]
-    factors = {
+def base_colours(materials):
+    """Linear RGBA of the materials of a GLB by surface."""
+    return {
         one["name"].rpartition("_")[0]: one["pbrMetallicRoughness"]["baseColorFactor"] for one in materials
     }
+
+
+def test_glb_has_the_given_colours_or_those_of_the_class():
+    materials = glb_content()["materials"]
+    factors = base_colours(materials)
     # The state of a rectangle is 0.5: half-way between pale and dark.
     np.testing.assert_allclose(factors["leaf"], [0.11, 0.175, 0.055, 1.0], atol=1e-6)
     np.testing.assert_allclose(factors["twine"][:3], (254 / 255) ** 2.22, atol=2e-3)
@@ -173,13 +178,6 @@ def test_raises_on_unknown_suffix(name):
 @pytest.fixture(scope="module")
 def tomato():
     return mesh_plant(grow(load_cultivar("tomato"), np.random.default_rng(3)), 0.2)
-
-
-def base_colours(content):
-    """Linear RGB `(3,)` of the materials of a GLB by name."""
-    size = struct.unpack("<I", content[12:16])[0]
-    materials = json.loads(content[20 : 20 + size])["materials"]
-    return {one["name"]: np.array(one["pbrMetallicRoughness"]["baseColorFactor"][:3]) for one in materials}
 
 
 @pytest.fixture(scope="module")
@@ -217,9 +215,8 @@ def test_grown_plants_have_their_natural_colours(natural):
 
 
 def test_class_colours_are_given_on_request(tomato):
-    colours = base_colours(mesh_files(tomato, "a.glb", "class")["a.glb"])
-    stem = next(rgb for name, rgb in colours.items() if name.startswith("stem_"))
+    colours = base_colours(glb_content(tomato, "class")["materials"])
     expected = (np.array(CLASS_COLOURS[OrganClass.STEM]) / 255.0) ** 2.2
-    np.testing.assert_allclose(stem, expected, atol=0.02)
+    np.testing.assert_allclose(colours["stem"][:3], expected, atol=0.02)
     with pytest.raises(ArgumentError, match='colours: must be "natural", "class" or a table'):
         mesh_files(tomato, "a.glb", "classes")

@@ -62,20 +62,16 @@ def test_short_stalk_is_cut_at_its_middle():
     assert np.linalg.norm(stalk.cut - stalk.attachment) == pytest.approx(0.5 * stalk.length_m)
 
 
-@pytest.mark.parametrize("parent", [STEM, None])
-def test_stalk_that_starts_outside_is_attached_at_its_base(parent):
-    line = arc(10.0, 0.05, 0.0, 9e-3)
+@pytest.mark.parametrize(
+    ("length", "start", "parent"), [(0.05, 9e-3, STEM), (0.05, 9e-3, None), (2e-3, 0.0, STEM)]
+)
+def test_stalk_that_starts_outside_or_never_emerges_is_attached_at_its_base(length, start, parent):
+    line = arc(10.0, length, 0.0, start)
     stalk = fruit_stalk(line, 3e-3, parent)
     np.testing.assert_allclose(stalk.attachment, line[0])
-    assert stalk.length_m == pytest.approx(0.05)
+    assert stalk.length_m == pytest.approx(length)
     assert np.linalg.norm(np.diff(stalk.curve, axis=0), axis=1).min() > 0.0
-
-
-def test_stalk_that_never_emerges_is_attached_at_its_base():
-    line = arc(0.0, 2e-3, 0.0, 0.0)
-    stalk = fruit_stalk(line, 3e-3, STEM)
-    np.testing.assert_allclose(stalk.attachment, line[0])
-    assert stalk.cut[0] == pytest.approx(1e-3)
+    assert np.linalg.norm(stalk.cut - line[0]) == pytest.approx(min(1.8 * 3e-3, 0.5 * length))
 
 
 UPRIGHT = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 2.0]])

@@ -190,7 +190,8 @@ class Distribution(Origin):
 def _truncated_normal(mean: float, sd: float, low: float, high: float) -> tuple[float, float, float, float]:
     """Mean and sd of the parent normal distribution, and its distribution function at both bounds."""
     parent_mean, parent_sd = parent_normal(mean, sd, low, high)
-    cdf_low, cdf_high = (_normal_cdf((bound - parent_mean) / parent_sd) for bound in (low, high))
+    scaled = ((bound - parent_mean) / parent_sd for bound in (low, high))
+    cdf_low, cdf_high = (0.5 * math.erfc(-z / math.sqrt(2.0)) for z in scaled)
     return parent_mean, parent_sd, cdf_low, cdf_high
 
 
@@ -199,10 +200,6 @@ def _cumulative_bins(bins: tuple[Bin, ...]) -> tuple[FloatArray, ...]:
     """Cumulative probability at the start, ends and probability of a histogram's non-empty bins."""
     lows, highs, weights = np.array([row for row in bins if row[2] > 0]).T
     return np.concatenate(([0.0], np.cumsum(weights)[:-1])), lows, highs, weights
-
-
-def _normal_cdf(z: float) -> float:
-    return 0.5 * math.erfc(-z / math.sqrt(2.0))
 
 
 def _truncated_normal_quantiles(

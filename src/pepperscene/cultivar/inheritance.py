@@ -47,14 +47,10 @@ def cultivar_files(name_or_path: str | Path) -> tuple[Path, ...]:
     files = read_chain(name_or_path)
     tables = merge_chain(files)
     scans = [Path(scan) for organ in _subtables(tables.get("organs")).values() for scan in _scans(organ)]
-    return tuple(dict.fromkeys([file for file, _ in files] + scans + curve_files(tables)))
-
-
-def curve_files(tables: Tables) -> list[Path]:
-    """Paths of the measured curves that a cultivar's tables name, and of the files that describe them."""
-    curves = _subtables(tables.get("spectra")).values()
-    files = [Path(curve["file"]) for curve in curves if isinstance(curve.get("file"), str)]
-    return files + [toml for file in files if is_file(toml := file.with_suffix(".toml"))]
+    spectra = _subtables(tables.get("spectra")).values()
+    curves = [Path(curve["file"]) for curve in spectra if isinstance(curve.get("file"), str)]
+    described = [toml for file in curves if is_file(toml := file.with_suffix(".toml"))]
+    return tuple(dict.fromkeys([*(file for file, _ in files), *scans, *curves, *described]))
 
 
 def resolve_curves(tables: Tables, folder: Path) -> None:

@@ -7,7 +7,7 @@ here they become metres and radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, Final, Literal
@@ -16,13 +16,20 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from pepperscene.cultivar.distribution import DEFAULT_BOUND_SD, Distribution, Origin, parent_normal
 
-SUM_TOLERANCE: Final = 1e-6  # of probabilities and weights, which files give with few digits
 NOTHING: Final = "none"
 NUMBERS: Final = (
     "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"
 )  # fmt: skip
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+def check_sum(values: Iterable[float], names: str) -> float:
+    """The sum of probabilities or weights; `ValueError` unless it is 1, but for the few digits of files."""
+    total = math.fsum(values)
+    if abs(total - 1.0) > 1e-6:
+        raise ValueError(f"{names} sum to {total:g} and must sum to 1")
+    return total
 
 
 class Choice(Origin):
@@ -49,9 +56,7 @@ class Choice(Origin):
         for name, value in outcomes.items():
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
                 raise ValueError(f"{name} must be a probability, from 0 to 1")
-        total = math.fsum(outcomes.values())
-        if abs(total - 1.0) > SUM_TOLERANCE:
-            raise ValueError(f"the probabilities sum to {total:g} and must sum to 1")
+        check_sum(outcomes.values(), "the probabilities")
         origin = {key: value for key, value in raw.items() if key in Origin.model_fields}
         return {**origin, "probabilities": outcomes}
 
@@ -187,9 +192,7 @@ def _parse_histogram(raw: Any, factor: float, key: str, **origin: Any) -> Distri
         raise ValueError(f"{key}: no bin may descend, and every weight must be at least 0")
     if any(after[0] < before[1] for before, after in pairwise(bins)):
         raise ValueError(f"{key}: bins must ascend without overlap")
-    total = math.fsum(weight for _, _, weight in bins)
-    if abs(total - 1.0) > SUM_TOLERANCE:
-        raise ValueError(f"{key}: the weights sum to {total:g} and must sum to 1")
+    total = check_sum((weight for _, _, weight in bins), f"{key}: the weights")
     scaled = tuple((factor * low, factor * high, weight / total) for low, high, weight in bins)
     mean = math.fsum(0.5 * (low + high) * weight for low, high, weight in scaled)
     # Second moment of a uniform bin: the square of its middle plus a twelfth of the square of its width.

@@ -6,7 +6,6 @@ horizontal, in the vertical plane of the organ. Parameters that a file leaves ou
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,6 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from pepperscene.classes import OrganClass
 from pepperscene.cultivar.distribution import Distribution
 from pepperscene.cultivar.notation import (
-    SUM_TOLERANCE,
     Amount,
     Angle,
     Factor,
@@ -28,6 +26,7 @@ from pepperscene.cultivar.notation import (
     Ratio,
     Size,
     Width,
+    check_sum,
 )
 from pepperscene.cultivar.slot import Slot
 from pepperscene.document import Document
@@ -202,9 +201,7 @@ class ResidueShares(Document):
 
     @model_validator(mode="after")
     def _check_sum(self) -> Self:
-        total = math.fsum(self.values)
-        if abs(total - 1.0) > SUM_TOLERANCE:
-            raise ValueError(f"dust, spray and mildew sum to {total:g} and must sum to 1")
+        check_sum(self.values, "dust, spray and mildew")
         return self
 
     @property

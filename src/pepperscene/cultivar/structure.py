@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -252,12 +253,8 @@ def _check_recursion(organs: Organs) -> None:
         name: {kind for slot in organ.bears for kind in slot.kinds if kind in unlimited}
         for name, organ in unlimited.items()
     }
-    for name in unlimited:
-        visited, queue = set[str](), list(below[name])
-        while queue:
-            kind = queue.pop()
-            if kind not in visited:
-                visited.add(kind)
-                queue.extend(below[kind])
-        if name in visited:
-            raise _error(("organs", name, "depth"), None, "is required for a kind that can follow itself")
+    try:
+        TopologicalSorter(below).prepare()
+    except CycleError as error:
+        key = "organs", next(name for name in unlimited if name in error.args[1]), "depth"
+        raise _error(key, None, "is required for a kind that can follow itself") from None

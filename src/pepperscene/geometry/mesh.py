@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,16 +200,12 @@ class Mesh:
             raise ValueError(f"chosen must be different indices of {count} instances, not {indices}")
         new_index = np.full(count, -1)
         new_index[indices] = np.arange(len(indices))
-        kept = new_index[self.face_instance] >= 0
-        old_faces = self.faces[kept]
-        used = np.zeros(len(self.vertices), dtype=bool)
-        used[old_faces] = True
-        surfaces, face_surface = np.unique(self.face_surface[kept], return_inverse=True)
-        appearances, face_appearance = np.unique(self.face_appearance[kept], return_inverse=True)
+        part = self.select_faces(np.flatnonzero(new_index[self.face_instance] >= 0))
+        surfaces, face_surface = np.unique(part.face_surface, return_inverse=True)
+        appearances, face_appearance = np.unique(part.face_appearance, return_inverse=True)
         return replace(
-            self._with_vertices(np.flatnonzero(used)),
-            faces=(np.cumsum(used) - 1)[old_faces].astype(np.uint32),
-            face_instance=new_index[self.face_instance[kept]].astype(np.uint32),
+            part,
+            face_instance=new_index[part.face_instance].astype(np.uint32),
             face_surface=face_surface.astype(np.uint8),
             face_appearance=face_appearance.astype(np.uint32),
             surfaces=tuple(self.surfaces[index] for index in surfaces),
@@ -232,22 +228,17 @@ class Mesh:
         faces = self.faces.take(kept, axis=0)
         is_used = np.zeros(len(self.vertices), dtype=bool)
         is_used[faces] = True
-        return replace(
-            self._with_vertices(np.flatnonzero(is_used)),
-            faces=(np.cumsum(is_used, dtype=np.uint32) - np.uint32(1))[faces],
-            face_instance=self.face_instance.take(kept),
-            face_surface=self.face_surface.take(kept),
-            face_appearance=self.face_appearance.take(kept),
-        )
-
-    def _with_vertices(self, used: IndexArray) -> Mesh:
-        """The mesh with some of its vertices; its faces still count all."""
+        used = np.flatnonzero(is_used)
         return replace(
             self,
             vertices=self.vertices.take(used, axis=0),
             normals=self.normals.take(used, axis=0),
             uv=self.uv.take(used, axis=0),
             state=self.state.take(used),
+            faces=(np.cumsum(is_used, dtype=np.uint32) - np.uint32(1))[faces],
+            face_instance=self.face_instance.take(kept),
+            face_surface=self.face_surface.take(kept),
+            face_appearance=self.face_appearance.take(kept),
             colour=self.colours_of(used),
         )
 
@@ -317,7 +308,7 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
         surfaces=names,
         instances=tuple(instances),
         appearances=tuple(number),
-        colour=_concatenate_colours(meshes),
+        colour=join_colours([(mesh.colour, len(mesh.vertices)) for mesh in meshes]),
         cultivars=_different_cultivars(meshes),
     )
 
@@ -331,14 +322,21 @@ def _different_cultivars(meshes: Sequence[Mesh]) -> tuple[Cultivar, ...]:
     return tuple(found)
 
 
-def _concatenate_colours(meshes: Sequence[Mesh]) -> SingleArray | None:
-    """Colours of the vertices of all meshes, or None if none has any."""
-    if all(mesh.colour is None for mesh in meshes):
+def join_colours(
+    parts: Sequence[tuple[NDArray[np.floating[Any]] | None, int]], missing: float = PIGMENTS
+) -> NDArray[Any] | None:
+    """Colours of the points of several parts, one value for those without; None if no part has any.
+
+    Args:
+        parts: colours `(..., 3)` or None, and the number of points.
+        missing: the value.
+    """
+    if all(colour is None for colour, _ in parts):
         return None
     return np.concatenate(
         [
-            np.full((len(mesh.vertices), 3), PIGMENTS, np.float32) if mesh.colour is None else mesh.colour
-            for mesh in meshes
+            np.full((count, 3), missing, np.float32) if colour is None else colour.reshape(-1, 3)
+            for colour, count in parts
         ]
     )
 

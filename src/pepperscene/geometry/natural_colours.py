@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.classes import Appearance, OrganClass
 from pepperscene.errors import ArgumentError
-from pepperscene.geometry.mesh import PIGMENTS, Mesh
+from pepperscene.geometry.mesh import PIGMENTS, FloatArray, Mesh
 
 if TYPE_CHECKING:
     from pepperscene.materials import Surface
-
-FloatArray = NDArray[np.float64]
 
 NATURAL_NM: Final = np.arange(380.0, 781.0, 5.0)
 """Wavelengths of the surfaces, nm."""
@@ -111,10 +109,9 @@ def bake_colours(mesh: Mesh, surfaces: Mapping[str, Surface]) -> BakedColours:
         atlas = _Atlas.of(len(organs), tile)
         state = atlas.rasterise(number, mesh.uv[corners].astype(float), mesh.state[corners].astype(float))
         appearances = [mesh.appearances[key % len(mesh.appearances)] for key in organs.tolist()]
-        colours = [
-            _texel_colours(surface, atlas.texel_uv, state[batch], appearances[batch])
-            for batch in _batches(len(organs), math.prod(tile))
-        ]
+        step = max(_BATCH // math.prod(tile), 1)
+        batches = [slice(first, first + step) for first in range(0, len(organs), step)]
+        colours = [_texel_colours(surface, atlas.texel_uv, state[one], appearances[one]) for one in batches]
         face_image[rows] = len(images)
         uv[corners] = atlas.places(number[:, None], mesh.uv[corners])
         images[name] = atlas.image(np.concatenate(colours))
@@ -140,11 +137,6 @@ def _parts(
             is_fruit = mesh.instance_class[mesh.face_instance[rows[0]]] == OrganClass.PEPPER
             near = _BLADE_TILE if surfaces[name].is_blade else _FRUIT_TILE if is_fruit else _TILE
             yield f"{name}_far" if far else name, surfaces[name], _FAR_TILE if far else near, rows
-
-
-def _batches(count: int, texels: int) -> Iterator[slice]:
-    step = max(_BATCH // texels, 1)
-    return (slice(first, first + step) for first in range(0, count, step))
 
 
 def _texel_colours(

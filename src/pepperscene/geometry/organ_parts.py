@@ -72,10 +72,8 @@ class OrganPart:
         """The triangles for trimesh, in the axes of a pose; None for those of the mesh."""
         import trimesh
 
-        points: NDArray[Any] = mesh.vertices[self.vertices]
-        normals: NDArray[Any] = mesh.normals[self.vertices]
-        if pose is not None:
-            points, normals = self.local(mesh, pose)
+        own = mesh.vertices[self.vertices], mesh.normals[self.vertices]
+        points, normals = own if pose is None else self.local(mesh, pose)
         return trimesh.Trimesh(points, self.faces, vertex_normals=normals, process=False)
 
 

@@ -28,7 +28,7 @@ from pepperscene.geometry.fruit.scan import (
     mesh_scanned_fruits,
     scan_shoulders,
 )
-from pepperscene.geometry.mesh import PIGMENTS, FloatArray, IndexArray, Mesh, SingleArray
+from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray, join_colours
 from pepperscene.geometry.triangle_counts import check_detail
 from pepperscene.geometry.tubes.flower import mesh_flowers
 from pepperscene.geometry.tubes.stalk import mesh_cuts, mesh_peduncles, mesh_stalks
@@ -116,7 +116,7 @@ def _assemble(plant: Plant, parts: Sequence[Part]) -> Mesh:
             )
             for index, organ in enumerate(plant.organs)
         ),
-        colour=_join_colours([batch for _, batch in parts]) if coloured else None,
+        colour=join_colours([(batch.colour, batch.state.size) for _, batch in parts]),
         cultivars=() if plant.grown_from is None else (plant.grown_from,),
     )
 
@@ -135,18 +135,6 @@ def _states(plant: Plant, indices: IndexArray, batch: MeshBatch) -> FloatArray:
             place = max(organ.measures.get("seed", 0.5 / 2.0**16) * 2.0**16 % 1.0, 1e-9)
             states[number] = np.clip(0.5 + STATE_PER_SD * ndtri(place), 0.0, 1.0)
     return states
-
-
-def _join_colours(batches: Sequence[MeshBatch]) -> SingleArray:
-    """Colours of all parts, `PIGMENTS` for those that have none."""
-    colours = np.full((sum(batch.state.size for batch in batches), 3), PIGMENTS, np.float32)
-    first = 0
-    for batch in batches:
-        stop = first + batch.state.size
-        if batch.colour is not None:
-            colours[first:stop] = batch.colour.reshape(-1, 3)
-        first = stop
-    return colours
 
 
 def _join(values: Sequence[FloatArray]) -> SingleArray:

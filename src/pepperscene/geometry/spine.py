@@ -47,10 +47,10 @@ class Spines:
         before, after = ends(self.points)
         point = before + fraction * (after - before)
         fraction = np.clip(fraction, 0.0, 1.0)
-        before, after = ends(self.normals)
-        normal = normalize(before * (1.0 - fraction) + after * fraction)
-        before, after = ends(self.binormals)
-        binormal = normalize(before * (1.0 - fraction) + after * fraction)
+        normal, binormal = (
+            normalize(before * (1.0 - fraction) + after * fraction)
+            for before, after in (ends(self.normals), ends(self.binormals))
+        )
         return point, normal, binormal
 
 

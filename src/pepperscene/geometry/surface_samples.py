@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from pepperscene.geometry.mesh import FloatArray
 
 _R2_STEPS: Final = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of the R2 sequence, which covers a square evenly (M. Roberts, "The unreasonable effectiveness of

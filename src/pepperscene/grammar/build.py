@@ -12,12 +12,17 @@ from pepperscene.grammar.draw import draw_parameters
 from pepperscene.grammar.frames import NodeFrames, StalkFrames, direction, orthogonal_units
 from pepperscene.grammar.hashing import FloatArray
 from pepperscene.grammar.plant import Indices, KindParameters, Organ, Plant, PlantParameters
-from pepperscene.grammar.shapes import STALK_POINTS, NumberedOrgans, blade_hang, build_kind, make_organs
+from pepperscene.grammar.shapes import (
+    STALK_POINTS,
+    NumberedOrgans,
+    blade_hang,
+    build_kind,
+    make_organs,
+    select_measures,
+)
 
 INTERNODE_POINTS: Final = 3
-_MAX_NODE_FRACTION: Final = (
-    0.4  # chosen: maximum fraction of the shorter adjacent internode that half a node takes
-)
+_MAX_NODE_FRACTION: Final = 0.4  # chosen: of the shorter adjacent internode, what half a node takes at most
 
 
 def grow(cultivar: Cultivar, rng: np.random.Generator, lean: float = 0.0) -> Plant:
@@ -91,11 +96,7 @@ def _build_stem(
         {
             "radius_m": 0.5 * internode["diameter"],
             "radius_tip_m": 0.5 * internode["diameter_tip"],
-            "groove_m": internode["groove"],
-            "seed": internode["seed"],
-            "state_mean": internode["state"],
-            "state_tip": internode["state_tip"],
-            "state_spread": internode["state_spread"],
+            **select_measures(internode, ("groove", "seed", "state", "state_tip", "state_spread")),
         },
     )
     stem += make_organs(
@@ -107,9 +108,7 @@ def _build_stem(
             "radius_m": 0.5 * node["width"],
             "radius_start_m": 0.5 * node["diameter"],
             "radius_end_m": 0.5 * node["diameter"],
-            "groove_m": node["groove"],
-            "seed": node["seed"],
-            "state_mean": node["state"],
+            **select_measures(node, ("groove", "seed", "state")),
         },
     )
     node_axis = axis + next_axis

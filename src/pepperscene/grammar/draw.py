@@ -84,15 +84,13 @@ def _draw_stem(cultivar: Cultivar, phytomers: Phytomers, lean: float) -> dict[st
     boundaries = np.minimum(np.arange(len(phytomers) + 1) / max(phytomers.mature, 1), 1.0)
     mean_diameter, diameters = _draw_diameters(cultivar, phytomers, boundaries)
 
-    def along_stem(distribution: Distribution, name: str, positions: FloatArray) -> FloatArray:
+    def along_stem(kind: Mapping[str, Distribution], name: str, positions: FloatArray) -> FloatArray:
         uniform = np.broadcast_to(uniforms(phytomers.key, name), positions.shape)
-        return distribution.quantiles(uniform, positions)
+        return clip_to_limits(name, kind[name].quantiles(uniform, positions))
 
-    state = clip_to_limits("state", along_stem(section["state"], "state", boundaries))
-    spread = clip_to_limits("state_spread", along_stem(section["state_spread"], "state_spread", positions))
+    state = along_stem(section, "state", boundaries)
     # Grooves are proportional to the stem.
-    groove = along_stem(section["groove"], "groove", boundaries) * diameters / mean_diameter
-    groove = clip_to_limits("groove", groove)
+    groove = along_stem(section, "groove", boundaries) * diameters / mean_diameter
     width = sizes * swelling["width"].quantiles(uniforms(phytomers.nodes, "width"), positions)
     node_length = sizes * swelling["length"].quantiles(uniforms(phytomers.nodes, "length"), positions)
     internode_values = {
@@ -104,7 +102,7 @@ def _draw_stem(cultivar: Cultivar, phytomers: Phytomers, lean: float) -> dict[st
         "groove": groove[:-1],
         "state": state[:-1],
         "state_tip": state[1:],
-        "state_spread": spread,
+        "state_spread": along_stem(section, "state_spread", positions),
         "seed": uniforms(phytomers.internodes, "seed"),
     }
     node_values = {
@@ -112,7 +110,7 @@ def _draw_stem(cultivar: Cultivar, phytomers: Phytomers, lean: float) -> dict[st
         "length": clip_to_limits("length", node_length),
         "diameter": diameters[1:],
         "groove": groove[1:],
-        "state": clip_to_limits("state", along_stem(swelling["state"], "state", boundaries[1:])),
+        "state": along_stem(swelling, "state", boundaries[1:]),
         "seed": uniforms(phytomers.nodes, "seed"),
     }
     order = np.arange(len(phytomers))

@@ -20,11 +20,7 @@ NumberedOrgans = list[tuple[int, Organ]]
 
 
 def make_organs(
-    kind: str,
-    parts: KindParameters,
-    curves: FloatArray,
-    up: FloatArray,
-    measures: Mapping[str, FloatArray],
+    kind: str, parts: KindParameters, curves: FloatArray, up: FloatArray, measures: Mapping[str, FloatArray]
 ) -> NumberedOrgans:
     """Make `n` organs of one kind, with their numbers in the plant.
 
@@ -55,6 +51,7 @@ _MEASURE_NAMES: Final[Mapping[str, str]] = {
     "length": "length_m",
     "width": "width_m",
     "diameter": "diameter_m",
+    "groove": "groove_m",
     "fold": "fold_rad",
     "curl": "curl_rad",
     "rolled": "rolled_rad",
@@ -117,7 +114,7 @@ def _build_stalks(name: str, sites: Sites, hang: FloatArray, frames: StalkFrames
     shape = {"azimuth": sites.heading, "base": base, "bend": bend, "more": more, "sway": sway, "roll": roll}
     frames.add(sites.parts.number, **shape, radius=radius, line=curves)
     measures = {"radius_m": radius, "radius_tip_m": radius * values["tip"]}
-    measures |= _select_measures(values, ("seed", "state", *extra_measures))
+    measures |= select_measures(values, ("seed", "state", *extra_measures))
     up = upper_side(sites.heading, slopes[:, 0], steps[:, 0], roll)
     return make_organs(name, sites.parts, curves, up, measures)
 
@@ -141,7 +138,7 @@ def _build_blades(name: str, sites: Sites) -> NumberedOrgans:
     damage = ("bites", "bite_width", "tears", "tear_depth", "residue", "ageing")
     names = ("length", "width", *shape, *outline, *damage, "seed", "state", "state_spread")
     curves = polylines(sites.start, steps, values["length"])
-    return make_organs(name, sites.parts, curves, up, _select_measures(values, names))
+    return make_organs(name, sites.parts, curves, up, select_measures(values, names))
 
 
 def blade_hang(values: Mapping[str, FloatArray]) -> FloatArray:
@@ -159,7 +156,7 @@ def _build_fruits(name: str, sites: Sites) -> NumberedOrgans:
     stalk_end = sites.start + height[:, None] * axis
     shape = ("diameter", "lobes", "lobe_depth", "shoulder", "taper", "point", "bend", "neck", "neck_length")
     names = (*shape, "seed", "ripeness", "ripeness_spread", "residue")
-    measures = {"length_m": length, **_select_measures(values, names)}
+    measures = {"length_m": length, **select_measures(values, names)}
     curves = _lines(stalk_end, axis, length)
     if not has_calyx:
         return make_organs(name, sites.parts, curves, up, measures)
@@ -190,7 +187,7 @@ def _build_flowers(name: str, sites: Sites) -> NumberedOrgans:
     values = sites.parts.values
     axis, up = _axes(sites.heading, values["inclination"])
     curves = _lines(sites.start, axis, _FLOWER_DEPTH * values["diameter"])
-    measures = _select_measures(values, ("petals", "open", "seed", "state"))
+    measures = select_measures(values, ("petals", "open", "seed", "state"))
     return make_organs(name, sites.parts, curves, up, {"radius_m": 0.5 * values["diameter"], **measures})
 
 
@@ -204,6 +201,6 @@ def _lines(start: FloatArray, axis: FloatArray, length: FloatArray) -> FloatArra
     return np.stack((start, start + length[:, None] * axis), axis=1)
 
 
-def _select_measures(values: Mapping[str, FloatArray], names: tuple[str, ...]) -> dict[str, FloatArray]:
+def select_measures(values: Mapping[str, FloatArray], names: tuple[str, ...]) -> dict[str, FloatArray]:
     """Parameters that are measures without conversion."""
     return {_MEASURE_NAMES.get(name, name): values[name] for name in names}

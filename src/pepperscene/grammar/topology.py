@@ -191,9 +191,7 @@ class OrganGroup:
     lift: FloatArray
     azimuth: FloatArray
     sideways: FloatArray
-    depths: (
-        Indices  # `(n, kinds)` number of organs of each depth-limited kind from the stem to here, inclusive
-    )
+    depths: Indices  # `(n, kinds)` organs of each depth-limited kind from the stem to here, inclusive
 
 
 class TopologyBuilder:

@@ -73,7 +73,7 @@ def fruit_stalk(
         parent_instance: index of that organ.
         on_stalk: whether that organ is another fruit stalk.
     """
-    arc = _arc_lengths(line)
+    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
     start = 0.0 if parent is None else _emergence(line, arc, *parent)
     free_length = arc[-1] - start
     if on_stalk:
@@ -88,11 +88,6 @@ def fruit_stalk(
     tangent = np.asarray(chord / np.linalg.norm(chord))
     point = _point_at(line, arc, cut)
     return FruitStalk(instance, parent_instance, radius_m, curve, float(free_length), point, tangent)
-
-
-def _arc_lengths(line: FloatArray) -> FloatArray:
-    """`(k,)` distance along a polyline of each of its points."""
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
 
 
 def _point_at(line: FloatArray, arc: FloatArray, distance: float) -> FloatArray:

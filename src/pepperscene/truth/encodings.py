@@ -17,13 +17,9 @@ from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, IGNORE_COLOUR, Orga
 _CM_PER_STEP: Final = 255.0 / (2.0 * 150.0)
 """Centimetres of distance per grey value: z = (255 - I) / (2 * 150 / 255)."""
 
-FARTHEST_CODED_M: Final = 254.0 * _CM_PER_STEP / 100.0
-"""Distance of grey value 1 (2.159 m); 0 is the background."""
-
 _PALETTE: Final = np.array(CLASS_COLOURS, dtype=np.uint8)
 _BLOCK: Final = 65536  # chosen: pixels compared with the palette at a time, 4 MB of differences
 _COUNTED: Final = 1 << 20  # chosen: pixels whose classes are counted at a time, in 8 MB
-
 
 _UNKNOWN_ID: Final = f"class ids must be in 0 to {len(OrganClass) - 1}, or {IGNORE_CLASS}"
 

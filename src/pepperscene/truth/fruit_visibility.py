@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -12,20 +12,6 @@ from pepperscene.errors import ArgumentError
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
-
-
-ROW_ARRAYS: Final = (
-    "pose_index",
-    "fruit_index",
-    "visible_fraction",
-    "facing_fraction",
-    "surface_fraction",
-    "visible_pixels",
-    "peduncle_visible_fraction",
-    "cut_visible_fraction",
-    "seen",
-)
-"""Arrays of `FruitVisibility` with an entry for each row."""
 
 
 SAMPLES: Final = 4096
@@ -133,3 +119,7 @@ class FruitVisibility:
             occluders = Occluders(rows, occluders.instance[used], occluders.fraction[used])
         columns = {name: getattr(self, name)[kept] for name in ROW_ARRAYS}
         return replace(self, **columns, occluders=occluders)
+
+
+ROW_ARRAYS: Final = tuple(field.name for field in fields(FruitVisibility))[3:-1]
+"""Arrays of `FruitVisibility` with an entry for each row."""

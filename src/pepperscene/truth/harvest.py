@@ -213,7 +213,8 @@ def _point_entry(
 ) -> dict[str, Any]:
     """A point of a stalk or a fruit; visible if its pixel shows one of the organs within a depth of it."""
     # Comparisons with nan are false.
-    inside = bool((px >= 0.0).all() and (px < [view.camera.width, view.camera.height]).all())
+    size = np.array([view.camera.width, view.camera.height])
+    inside = bool((px >= 0.0).all() and (px < size).all())
     visible = False
     if inside:
         row, column = int(px[1]), int(px[0])
@@ -222,14 +223,10 @@ def _point_entry(
     return {
         "camera_m": _lists(view.points(point)),
         "world_m": _lists(point),
-        "px": _pixel(px, view.camera) if inside else None,
+        # Rounding must not move a point near the right or lower border out of the image.
+        "px": _lists(np.minimum(px, size - 1e-3), 3) if inside else None,
         "visible": visible,
     }
-
-
-def _pixel(px: FloatArray, camera: Camera) -> list[float]:
-    """A point of the image; rounding must not move one near the right or lower border out of it."""
-    return _lists(np.minimum(px, [camera.width - 1e-3, camera.height - 1e-3]), 3)
 
 
 def _approach_entry(approach: Approach, view: LabelView) -> dict[str, Any]:

@@ -22,8 +22,6 @@ et al. 2018, section 3.1.1. The same fraction of images of any size is about the
 """
 _BINS_PER_SECTOR: Final = HUE_BINS // 6
 _CLASSES: Final = len(OrganClass)
-_FLUSH_INTERVAL: Final = 255
-"""Masks that an 8-bit counter can hold: adding bytes is ten times as fast as adding 32-bit numbers."""
 
 
 def hue_bins(colour: NDArray[np.uint8]) -> NDArray[np.int16]:
@@ -169,7 +167,6 @@ class ImageStatistics:
         self._grey_fractions = np.zeros(_CLASSES)
         self._grey_sum: NDArray[np.uint32] | None = None
         self._mask_sums: NDArray[np.uint32] | None = None
-        self._recent_masks: NDArray[np.uint8] | None = None  # not yet added to `_mask_sums`
 
     def add(
         self,
@@ -222,10 +219,7 @@ class ImageStatistics:
 
         Fig. 11 shows these, each divided by its maximum.
         """
-        if self._mask_sums is None:
-            return None
-        self._flush()
-        return self._mask_sums / self.labelled_count
+        return None if self._mask_sums is None else self._mask_sums / self.labelled_count
 
     def mean_intensity(self) -> NDArray[np.float64] | None:
         """Mean grey value at each position `(h, w)`, 0 to 255; None without photographs."""
@@ -253,20 +247,12 @@ class ImageStatistics:
         counts = np.bincount(class_id.ravel(), minlength=_CLASSES)
         self.class_pixels += counts[:_CLASSES]
         self.unlabelled_pixels += int(counts[_CLASSES:].sum())
-        if self._mask_sums is None or self._recent_masks is None:
+        if self._mask_sums is None:
             self._mask_sums = np.zeros((_CLASSES, *class_id.shape), np.uint32)
-            self._recent_masks = np.zeros((_CLASSES, *class_id.shape), np.uint8)
-        ids = _resize_nearest(class_id, self._recent_masks.shape[1:])
-        for organ_class, counter in zip(OrganClass, self._recent_masks, strict=True):
-            counter += (ids == organ_class).view(np.uint8)
+        ids = _resize_nearest(class_id, self._mask_sums.shape[1:])
+        for organ_class, counter in zip(OrganClass, self._mask_sums, strict=True):
+            counter += ids == organ_class
         self.labelled_count += 1
-        if self.labelled_count % _FLUSH_INTERVAL == 0:
-            self._flush()
-
-    def _flush(self) -> None:
-        if self._mask_sums is not None and self._recent_masks is not None:
-            self._mask_sums += self._recent_masks
-            self._recent_masks[:] = 0
 
 
 def _resize_nearest(image: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:

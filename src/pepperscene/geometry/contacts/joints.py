@@ -83,6 +83,7 @@ class MovableUnit:
     members: tuple[int, ...]  # all its organs
     on_stem: bool  # it grows on a stem, around which it can move
     bears_fruit: bool  # its root carries fruit rather than leaves
+    is_leafy: bool  # all its organs are leaves and shoots
     limits: FloatArray  # `(2,)` radians, maximum rotations: around, up or down
     weights: FloatArray  # `(2,)` of a degree of either rotation
 
@@ -97,8 +98,9 @@ def units_of(organs: Organs, organ: int) -> list[MovableUnit]:
         # A fruit does not rotate within its calyx.
         if kind == FRUIT and organs.mesh.instances[above].kind == "calyx":
             continue
-        key = bool(organs.organ_class[above] == STEM), kind in (FRUIT, STALK)
-        units.append(MovableUnit(root, tuple(organs.subtree(root)), *key, *_LIMITS_AND_WEIGHTS[key]))
+        key, members = (bool(organs.organ_class[above] == STEM), kind in (FRUIT, STALK)), organs.subtree(root)
+        is_leafy = bool(np.isin(organs.organ_class[members], [LEAF, SHOOT]).all())
+        units.append(MovableUnit(root, tuple(members), *key, is_leafy, *_LIMITS_AND_WEIGHTS[key]))
     return units
 
 

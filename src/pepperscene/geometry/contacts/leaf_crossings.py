@@ -68,10 +68,6 @@ class LeafCrossings:
         self.pairs = np.concatenate([self.pairs[unchanged], np.stack([one, two], axis=1)[crosses]])
         self.costs = np.concatenate([self.costs[unchanged], pair_cost(number[crosses], PER_CROSSING)])
 
-    def numbers(self) -> IndexArray:
-        """`(n,)` number of organs that each organ crosses."""
-        return np.bincount(self.pairs.ravel(), minlength=len(self._organs))
-
     def of_units(self, inside: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
         """`(u,)` costs of what units of organs `(u, n)` cross now, and `(u, n)` these organs."""
         cost, crossed = np.zeros(len(inside)), np.zeros_like(inside)

@@ -131,7 +131,6 @@ class LeafSolver:
 
     def __init__(self, detector: ContactDetector, moving: MovingUnits) -> None:
         self._detector, self._organs, self._moving = detector, detector.organs, moving
-        self._leafy_units: dict[int, list[MovableUnit]] = {}
         self.crossings = LeafCrossings(self._organs)
         self._rough = CoarseTriangles(self._organs, self.crossings.examined, ROUGH)
         self._exact = _Judge(self.crossings.fine, CLEARANCE, PER_CROSSING)
@@ -185,7 +184,7 @@ class LeafSolver:
     def _select_units(self, number: int) -> list[MovableUnit]:
         """The units to try: of every pair of one organ, in later passes of both."""
         pairs, leafy = self.crossings.pairs, self.crossings.leafy
-        crossings = self.crossings.numbers()
+        crossings = np.bincount(pairs.ravel(), minlength=len(self._organs))
         if number >= _LARGE_UNITS:
             chosen = np.unique(pairs)
         else:
@@ -199,22 +198,13 @@ class LeafSolver:
         units = {}
         # No rotation frees an organ that crosses very many others.
         for organ in chosen[(leafy & (crossings <= CROWDED))[chosen]].tolist():
-            group = self._leafy_units_of(organ)
+            # Units that bear fruit stay.
+            group = [unit for unit in self._moving.of_organ(organ) if unit.is_leafy]
             if group:
                 # The blade alone and the leaf with its stalk in turns, later the shoot too.
                 unit = group[number % min(len(group), 2 if number < _LARGE_UNITS else 3)]
                 units[unit.root] = unit
         return list(units.values())
-
-    def _leafy_units_of(self, organ: int) -> list[MovableUnit]:
-        """The units of an organ that consist of leaves and shoots: those that bear fruit stay."""
-        if organ not in self._leafy_units:
-            self._leafy_units[organ] = [
-                unit
-                for unit in self._moving.of_organ(organ)
-                if self.crossings.leafy[list(unit.members)].all()
-            ]
-        return self._leafy_units[organ]
 
     def _candidate_poses(self, units: list[MovableUnit], number: int, phase: FloatArray) -> _LeafPoses:
         """The current pose of each unit, and others within the limits of its rotations."""

@@ -11,12 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import OrganClass
-from pepperscene.geometry.contacts.patches import (
-    PATCH_SIZE,
-    Patches,
-    build_patches,
-    fill_triangles,
-)
+from pepperscene.geometry.contacts.patches import PATCH_SIZE, Patches, build_patches, fill_triangles
 from pepperscene.geometry.mesh import FloatArray, IndexArray, Mesh, SingleArray, expand_counts
 
 # Plain integers: members of an enumeration are slow to look up. An organ without a class is a flower.
@@ -112,7 +107,10 @@ class Organs:
         self._vertices = mesh.vertex_runs
         scenery = (self.organ_class == FLOWER) & (self.parent < 0)
         self.solid = (self._vertices.count > 0) & ~scenery
-        self.low, self.high = self._boxes()
+        self.low, self.high = np.zeros((2, len(self.parent), 3))
+        used = np.flatnonzero(self._vertices.count)
+        rows, position = self._vertices.rows_of(used)
+        self.low[used], self.high[used] = bounds_of_runs(mesh.vertices[rows].T, position)
         self._original_low = self.low.astype(np.float32)
         self._original_extent = (self.high - self.low).max(axis=1).astype(np.float32)
         self.moved_at = np.zeros(len(self.parent), dtype=np.intp)
@@ -292,19 +290,6 @@ class Organs:
             if above >= 0:
                 children[above].append(organ)
         return children
-
-    def _boxes(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the bounding box of each organ before all moves."""
-        low, high = np.zeros((2, len(self.parent), 3))
-        runs, vertices = self._vertices, self.mesh.vertices
-        used = np.flatnonzero(runs.stop > runs.first)
-        if len(used):
-            # Bounds of all organs in one pass, in the order of their vertices.
-            used = used[np.argsort(runs.first[used])]
-            vertices = vertices if runs.order is None else vertices[runs.order]
-            low[used] = np.minimum.reduceat(vertices, runs.first[used], axis=0)
-            high[used] = np.maximum.reduceat(vertices, runs.first[used], axis=0)
-        return low, high
 
 
 def _transform(

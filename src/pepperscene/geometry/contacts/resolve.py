@@ -7,12 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.contacts.cost import (
-    ContactCosts,
-    Poses,
-    remaining_cost,
-    weighted_effort,
-)
+from pepperscene.geometry.contacts.cost import ContactCosts, Poses, remaining_cost, weighted_effort
 from pepperscene.geometry.contacts.detect import NEAR, ContactCounts, ContactDetector
 from pepperscene.geometry.contacts.joints import (
     JointRotation,
@@ -190,10 +185,8 @@ class ContactSolver:
         Effort and what remains of the contacts are a lower bound of the cost of a pose.
         """
         roots = np.array([unit.root for unit in units])
-        current, weights = (
-            self.moving.angles[roots][:, None],
-            np.array([unit.weights for unit in units])[:, None],
-        )
+        current = self.moving.angles[roots][:, None]
+        weights = np.array([unit.weights for unit in units])[:, None]
         limits = np.array([unit.limits for unit in units])[:, None]
         pattern = disc_points(current_round.counts()[0], current_round.phase[roots])
         angles = np.concatenate([current, limits * pattern], axis=1)
@@ -203,10 +196,8 @@ class ContactSolver:
         joints = find_joints(self.organs, units)
         transforms = joints.transforms(angles - current)
         # What remains of the contacts that each unit is to resolve.
-        owner, rows = (
-            np.repeat(np.arange(len(units)), [len(group) for group in places]),
-            np.concatenate(places),
-        )
+        owner = np.repeat(np.arange(len(units)), [len(group) for group in places])
+        rows = np.concatenate(places)
         each = remaining_cost(rules, units, owner, contacts[rows], transforms, _COARSE_STRIDE)
         ends = np.any(each <= 0.0, axis=1) | (current_round.number > 0)
         resolves = [frozenset(rows[(owner == unit) & ends].tolist()) for unit in range(len(units))]
@@ -245,11 +236,7 @@ class ContactSolver:
                     low[moved_rows], high[moved_rows], low[rows][:, None] - NEAR, high[rows][:, None] + NEAR
                 )
                 near &= is_fruit[members[rows]][:, None] | is_fruit[members[moved_rows]]
-                if (
-                    near.any()
-                    or np.any(has_moved[contacts[place]])
-                    or np.any(has_moved[np.array(unit.members)])
-                ):
+                if near.any() or has_moved[[*contacts[place], *unit.members]].any():
                     waiting.append(place)
                     continue
             moved_rows = np.append(moved_rows, rows)

@@ -8,13 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.batch import (
-    MeshBatch,
-    hash_uniform,
-    read_measure,
-    ring_shells,
-    smooth_field,
-)
+from pepperscene.geometry.batch import MeshBatch, hash_uniform, read_measure, ring_shells, smooth_field
 from pepperscene.geometry.fruit.pericarp import Pericarps
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.geometry.spine import normalize, perpendicular
@@ -24,9 +18,7 @@ from pepperscene.grammar.plant import Organ
 SHOULDER_STEPS: Final = 14  # chosen: heights are right to a few tenths of a millimetre between them
 SHOULDER_COLUMNS: Final = 36  # chosen: as many as a fruit has columns
 SHOULDER_EXTENT: Final = 0.92  # chosen: of the outline; beyond it the wall turns down too steeply
-_STEEPEST: Final = (
-    1.2  # chosen: slope at which a sepal that is longer than its fruit is wide continues downwards
-)
+_STEEPEST: Final = 1.2  # chosen: slope at which a sepal continues downwards beyond the width of its fruit
 
 
 @dataclass(frozen=True, eq=False)

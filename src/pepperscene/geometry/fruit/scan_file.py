@@ -9,7 +9,8 @@ from __future__ import annotations
 import codecs
 import io
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +28,7 @@ from pepperscene.geometry.fruit.scan_triangles import (
     checked_triangles,
     damaged_scan,
 )
-from pepperscene.geometry.mesh import FloatArray
+from pepperscene.geometry.mesh import FloatArray, join_colours
 from pepperscene.user_files import MissingFileError, open_file
 
 _MAX_BYTES: Final = {".glb": 200_000_000, ".obj": 100_000_000, ".ply": 100_000_000, ".stl": 100_000_000}
@@ -57,18 +58,23 @@ def read_triangles(path: Path, *, colour: bool = False) -> ScanTriangles:
         InputError: the file cannot be read, is too large, is damaged, or has no triangles.
     """
     content, suffix = _read_content(path), path.suffix.lower()
-    if suffix == ".glb":
-        bodies = _guarded(lambda: glb_bodies(content, path, colour=colour), path)
-    else:
-        check = {".obj": _obj_content, ".ply": _ply_content, ".stl": _stl_content}[suffix]
-        bodies = _read_bodies(check(content, path), suffix[1:], path, colour=colour)
+    checks = {".obj": _obj_content, ".ply": _ply_content, ".stl": _stl_content}
+    if suffix in checks:
+        content = checks[suffix](content, path)
+    with _errors_about(path):
+        if suffix == ".glb":
+            bodies = glb_bodies(content, path, colour=colour)
+        else:
+            bodies = _read_bodies(content, suffix[1:], colour=colour)
     bodies = [checked_triangles(body, path) for body in bodies if len(body.faces)]
     if not bodies:
         raise InputError(path, f"has no triangles; {ALLOWED_SCAN}")
     check_count(sum(len(body.faces) for body in bodies), path)
     first = np.cumsum([0, *(len(body.vertices) for body in bodies)])
     faces = np.concatenate([body.faces + start for body, start in zip(bodies, first, strict=False)])
-    return ScanTriangles(np.concatenate([body.vertices for body in bodies]), faces, _joined_colours(bodies))
+    # Points of a body without colours are white.
+    colours = join_colours([(body.colours, len(body.vertices)) for body in bodies], 1.0)
+    return ScanTriangles(np.concatenate([body.vertices for body in bodies]), faces, colours)
 
 
 def _read_content(path: Path) -> bytes:
@@ -189,20 +195,17 @@ def _ply_elements(header: str, path: Path) -> list[tuple[str, int, int]]:
     return elements
 
 
-def _read_bodies(content: bytes, file_type: str, path: Path, *, colour: bool) -> list[ScanTriangles]:
+def _read_bodies(content: bytes, file_type: str, *, colour: bool) -> list[ScanTriangles]:
     """The meshes of a file of one of the formats that trimesh reads."""
     import trimesh
 
-    def read() -> list[ScanTriangles]:
-        scene = trimesh.load(io.BytesIO(content), file_type=file_type, process=False, skip_materials=True)
-        bodies = list(scene.geometry.values()) if isinstance(scene, trimesh.Scene) else [scene]
-        return [
-            ScanTriangles(body.vertices, body.faces, _point_colours(body) if colour else None)
-            for body in bodies
-            if hasattr(body, "faces")
-        ]
-
-    return _guarded(read, path)
+    scene = trimesh.load(io.BytesIO(content), file_type=file_type, process=False, skip_materials=True)
+    bodies = list(scene.geometry.values()) if isinstance(scene, trimesh.Scene) else [scene]
+    return [
+        ScanTriangles(body.vertices, body.faces, _point_colours(body) if colour else None)
+        for body in bodies
+        if hasattr(body, "faces")
+    ]
 
 
 def _point_colours(body: Any) -> FloatArray | None:
@@ -212,26 +215,18 @@ def _point_colours(body: Any) -> FloatArray | None:
     return srgb_decode(np.asarray(body.visual.vertex_colors)[:, :3] / 255.0)
 
 
-def _guarded(read: Callable[[], list[ScanTriangles]], path: Path) -> list[ScanTriangles]:
-    """What a reader returns; whatever it raises becomes an error about the file."""
+@contextmanager
+def _errors_about(path: Path) -> Iterator[None]:
+    """Whatever a reader raises becomes an error about the file."""
     try:
         # NumPy warns of text that is no number, and uses what comes before it.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
-            return read()
+            yield
     except (MemoryError, InputError):
         raise  # the first becomes an error of the whole scan
     except Exception as error:  # the readers of these formats raise many kinds
         # A missing key or index alone, or a missing package, would not be understood.
         message = " ".join(str(error).split())[:200]
         raise damaged_scan(path, f"{type(error).__name__}: {message}") from error
-
-
-def _joined_colours(bodies: list[ScanTriangles]) -> FloatArray | None:
-    """Colours of all points; None if no body has any, white for a body without."""
-    if all(body.colours is None for body in bodies):
-        return None
-    return np.concatenate(
-        [np.ones_like(body.vertices) if body.colours is None else body.colours for body in bodies]
-    )

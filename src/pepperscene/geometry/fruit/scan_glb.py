@@ -60,9 +60,9 @@ def _scene_bodies(
     tree: Mapping[str, Any], binary: memoryview, path: Path, *, colour: bool
 ) -> list[ScanTriangles]:
     """The triangles of all nodes."""
-    required = [name for name in tree.get("extensionsRequired", []) if not _is_read(str(name))]
-    if required:
-        raise InputError(path, f"needs {required[0]}, which is not read: export it without that extension")
+    for name in map(str, tree.get("extensionsRequired", [])):
+        if name != "KHR_mesh_quantization" and not name.startswith("KHR_materials_"):
+            raise InputError(path, f"needs {name}, which is not read: export it without that extension")
     file = _Accessors(tree, binary, path)
     bodies, triangles, most_points = [], 0, 3 * MAX_TRIANGLES_READ
     for transform, primitive in _primitives(tree, path):
@@ -86,10 +86,6 @@ def _scene_bodies(
             )
         )
     return bodies
-
-
-def _is_read(extension: str) -> bool:
-    return extension == "KHR_mesh_quantization" or extension.startswith("KHR_materials_")
 
 
 def _chunks(content: bytes, path: Path) -> tuple[dict[str, Any], memoryview]:

@@ -9,14 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from pepperscene.geometry.batch import (
-    MeshBatch,
-    pack_rings,
-    read_measure,
-    ring_faces,
-    ring_uv,
-    smooth_field,
-)
+from pepperscene.geometry.batch import MeshBatch, pack_rings, read_measure, ring_faces, ring_uv, smooth_field
 from pepperscene.geometry.mesh import FloatArray, IndexArray
 from pepperscene.geometry.spine import Spines, normalize
 from pepperscene.grammar.frames import cross
