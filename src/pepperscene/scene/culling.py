@@ -236,9 +236,7 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
     return join_triangles([remaining, *simple]).taken_from(mesh)
 
 
-_POSE_STRIDE: Final = (
-    16  # chosen: every 16th pose sees most of what is visible; the others are tested for the rest
-)
+_POSE_STRIDE: Final = 16  # chosen: every 16th pose sees most of what is visible; others only the rest
 _PRODUCT_SIZE: Final = 1 << 17
 """Multiplications in one matrix product. Chosen: OpenBLAS distributes larger ones, from 2^18 on, over
 threads, which costs more than it gains when the cores have other work."""
