@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,12 @@ Float32Array = NDArray[np.float32]
 _JITTER: Final = 0.32
 """Chosen: largest displacement of a cell's centre, in spacings. It hides the grid, and keeps the two nearest
 centres within the rows and columns that `random_cells` searches."""
+
+
+def named_generator(seed: int, name: str) -> np.random.Generator:
+    """Generator that depends on a seed and a name alone."""
+    words = np.frombuffer(sha256(name.encode()).digest(), dtype="<u4").tolist()
+    return np.random.default_rng([seed, *words])
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma: tuple[float, float]) -> FloatArray:
@@ -92,6 +99,24 @@ def random_cells(rng: np.random.Generator, pixels: int, spacing: float) -> Float
             nearest = np.minimum(nearest, squared)
     nearest, second = np.sqrt(nearest), np.sqrt(second)
     return np.stack([nearest, 0.5 * (second - nearest)], axis=-1)
+
+
+def scatter_discs(
+    rng: np.random.Generator, pixels: int, pixel_mm: float, per_cm2: float, radius_mm: tuple[float, float]
+) -> FloatArray:
+    """`(k, 5)` discs for `stamp_discs` at random places of a field `(n, n)`, n = `pixels`.
+
+    Args:
+        rng: draws them.
+        pixels: n.
+        pixel_mm: size of a pixel.
+        per_cm2: number of discs.
+        radius_mm: least and greatest mean radius; small ones are more frequent: uniform in the logarithm.
+    """
+    count = round(per_cm2 * (0.1 * pixels * pixel_mm) ** 2)
+    low, high = (radius / pixel_mm for radius in radius_mm)
+    radii = low * (high / low) ** rng.random(count)
+    return np.stack([*rng.uniform(0.0, pixels, (2, count)), radii, *rng.random((2, count))], axis=1)
 
 
 def stamp_discs(
