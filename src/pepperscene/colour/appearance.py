@@ -99,33 +99,27 @@ def histogram_percentiles(counts: Floats, width: float, percent: ArrayLike) -> F
 # --- texture ------------------------------------------------------------------------------------------------
 
 
-def patch_grid(regions: NDArray[Any], patch_px: int = PATCH_PX) -> NDArray[np.int64]:
-    """Square patches, side by side, that are wholly within one region.
+def patch_grid(regions: NDArray[Any]) -> NDArray[np.int64]:
+    """`(n, 2)` row and column of the first pixels of square patches, side by side, each wholly in one region.
 
     Args:
         regions: `(h, w)` numbers of regions; 0 is none.
-        patch_px: side of a patch.
-
-    Returns:
-        `(n, 2)` row and column of their first pixels.
     """
-    rows, columns = (side // patch_px for side in regions.shape)
+    rows, columns = (side // PATCH_PX for side in regions.shape)
     if not rows or not columns:
         return np.zeros((0, 2), np.int64)
-    blocks = regions[: rows * patch_px, : columns * patch_px].reshape(rows, patch_px, columns, patch_px)
+    blocks = regions[: rows * PATCH_PX, : columns * PATCH_PX].reshape(rows, PATCH_PX, columns, PATCH_PX)
     least, greatest = blocks.min(axis=(1, 3)), blocks.max(axis=(1, 3))
-    return patch_px * np.argwhere((least == greatest) & (least > 0))
+    return PATCH_PX * np.argwhere((least == greatest) & (least > 0))
 
 
-def patch_pixels(
-    corners: NDArray[np.int64], patch_px: int = PATCH_PX
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows `(n, patch_px, 1)` and columns `(n, 1, patch_px)` of the pixels of patches, to index an image."""
-    offsets = np.arange(patch_px)
+def patch_pixels(corners: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows `(n, PATCH_PX, 1)` and columns `(n, 1, PATCH_PX)` of the pixels of patches, to index an image."""
+    offsets = np.arange(PATCH_PX)
     return corners[:, 0, None, None] + offsets[:, None], corners[:, 1, None, None] + offsets
 
 
-def structure_tensors(lightness: Floats, blur_px: float = BLUR_PX) -> Floats:
+def structure_tensors(lightness: Floats) -> Floats:
     """Products of the gradients of an image: `(h, w, 3)` of gx gx, gx gy and gy gy per pixel squared.
 
     Gradients are derivatives of a Gaussian (Bigün & Granlund 1987, "Optimal orientation detection of linear
@@ -133,13 +127,17 @@ def structure_tensors(lightness: Floats, blur_px: float = BLUR_PX) -> Floats:
     """
     from scipy.ndimage import gaussian_filter
 
-    across = gaussian_filter(lightness, blur_px, order=(0, 1))
-    down = gaussian_filter(lightness, blur_px, order=(1, 0))
+    across = gaussian_filter(lightness, BLUR_PX, order=(0, 1))
+    down = gaussian_filter(lightness, BLUR_PX, order=(1, 0))
     return np.stack([across * across, across * down, down * down], axis=-1)
 
 
 def principal_gradients(tensors: ArrayLike) -> tuple[Floats, Floats]:
-    """Mean squares of the gradient along the two principal directions, the greater first.
+    """Mean squares `(...)` of the gradient along the two principal directions, the greater first.
+
+    The ratio of their roots is 1 if slopes are alike in all directions, and large for stripes. A random
+    texture in a small patch has a ratio slightly above 1, since the directions are chosen from the same
+    gradients.
 
     Args:
         tensors: `(..., 3)` structure tensors: xx, xy, yy.
@@ -147,18 +145,6 @@ def principal_gradients(tensors: ArrayLike) -> tuple[Floats, Floats]:
     xx, xy, yy = np.moveaxis(np.asarray(tensors, float), -1, 0)
     half, difference = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     return half + difference, np.maximum(half - difference, 0.0)
-
-
-def gradient_ratio(tensors: ArrayLike) -> Floats:
-    """Ratio of the rms gradients across and along the main direction of structure tensors `(..., 3)`.
-
-    1 if slopes are alike in all directions, large for stripes, infinite if there is one direction only.
-    A random texture in a small patch has a ratio slightly above 1, since the principal directions are chosen
-    from the same gradients.
-    """
-    greater, lesser = principal_gradients(tensors)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.sqrt(greater / lesser))
 
 
 def coherence(tensors: ArrayLike) -> Floats:
