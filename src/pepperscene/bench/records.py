@@ -158,13 +158,7 @@ def write_results(
 ) -> BenchmarkFiles:
     """Write `name.json`, `name.md` and other files into a folder, all or none.
 
-    Args:
-        folder: made if missing.
-        name: of the files.
-        machine: of `machine_info`; part of the JSON file, and the first chapter.
-        content: of the JSON file.
-        chapters: of the Markdown file.
-        extra_files: content of others by name.
+    The machine, of `machine_info`, is part of the JSON file and the first chapter of the other.
 
     Raises:
         OutputError: the folder cannot be written.

@@ -239,16 +239,9 @@ def _ring_edges() -> Floats:
 
 
 def resize_linear(linear: ArrayLike, width: int) -> Floats:
-    """Resample an image of linear light to a width in pixels, keeping its shape.
+    """Resample an image `(h, w, 3)` of linear light to a width in pixels, keeping its shape.
 
     Lanczos filter, in linear light, so that a reduced image has the colours of a camera with larger pixels.
-
-    Args:
-        linear: `(h, w, 3)`.
-        width: in pixels, at least 1.
-
-    Returns:
-        `(height, width, 3)`, not below 0.
     """
     from PIL import Image
 

@@ -55,13 +55,9 @@ def leaf_textures(
     count: int = TEXTURES,
     residue_shares: ArrayLike = (1.0, 0.0, 0.0),
 ) -> LeafTextures:
-    """Draw the textures of a leaf surface.
+    """Draw `count` textures of a leaf surface over the pixels of the mean blade.
 
-    Args:
-        grid: pixels over the mean blade.
-        rng: draws everything.
-        count: number t of textures.
-        residue_shares: mean shares of dust, dried spray and mildew in the residue; dust alone by default.
+    The residue has these mean shares of dust, dried spray and mildew.
     """
     tile = FieldTile.build(grid, SIGMAS_MM, rng)
     drops, spots = _spray_drops(grid, tile, rng), _spots(grid, tile, rng)

@@ -112,14 +112,8 @@ def draw_far_rows(
 ) -> list[FarRow]:
     """Draw the plants of the neighbouring double rows, and of the labelled rows' continuation to either side.
 
-    Args:
-        models: number of different plants.
-        row: the labelled double row; its positions stay free, and plants are numbered after its own.
-        greenhouse: number, spacing and length of the rows.
-        rng: draws plants, turns and positions.
-
-    Returns:
-        Rows with at least one plant.
+    `models` is the number of different plants. Positions of the labelled double row stay free, and plants are
+    numbered after its own. Rows without plants are left out.
     """
     rows: list[FarRow] = []
     first_plant = row.plants_front + row.plants_back

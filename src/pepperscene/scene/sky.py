@@ -309,12 +309,8 @@ def partly_cloudy_weights(
 ) -> Floats:
     """`(3, rows, columns)` luminance in each spectrum of `daylight_basis`, cd/m2, of blue sky and clouds.
 
-    Args:
-        towards: `(rows, columns, 3)` directions.
-        projected: `(rows, 1)` their projected solid angles, 0 below the horizon.
-        sun_direction: `(3,)` unit vector.
-        rng: places the clouds.
-        cloud_cover: fraction of the sky that clouds hide.
+    `towards` are the directions `(rows, columns, 3)` and `projected` their projected solid angles
+    `(rows, 1)`, 0 below the horizon; the direction of the sun is a unit vector.
     """
     elevation = float(np.arcsin(np.clip(sun_direction[2], -1.0, 1.0)))
 

@@ -82,13 +82,10 @@ class SetMeasures:
         stages: Mapping[str, NDArray[np.bool_]] | None = None,
         instances: NDArray[np.uint16] | None = None,
     ) -> None:
-        """Add an image.
+        """Add an image `(h, w, 3)` in sRGB, class ids `(h, w)` or both; ids above 7 are unlabelled.
 
-        Args:
-            colour: `(h, w, 3)` sRGB, or None.
-            classes: `(h, w)` class ids, or None; values above 7 are unlabelled.
-            stages: masks `(h, w)` of the kinds with a stage ("pepper.ripe").
-            instances: `(h, w)` instances, 0 for none, or None.
+        `stages` are masks `(h, w)` of the kinds with a stage ("pepper.ripe"); instances `(h, w)` are 0 for
+        none.
         """
         centre_px = self._centre(colour if classes is None else classes)
         self.statistics.add(colour, classes, centre_px)

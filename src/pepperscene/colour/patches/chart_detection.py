@@ -94,11 +94,7 @@ class _Regions:
 
 
 def find_chart(picture: NDArray[np.uint8], where: str | Path) -> Floats:
-    """`(4, 2)` corners of the chart in a picture, in order around it, in pixel coordinates.
-
-    Args:
-        picture: `(h, w, 3)` uint8.
-        where: file name for messages.
+    """`(4, 2)` corners of the chart in a picture `(h, w, 3)`, in order around it, in pixel coordinates.
 
     Raises:
         InputError: no chart is found.
