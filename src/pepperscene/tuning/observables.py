@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera import Sensor
 from pepperscene.camera.image.colorimetry import D65_WHITE, SRGB_TO_XYZ
 from pepperscene.colour import linear_srgb_to_lab
-
-if TYPE_CHECKING:
-    from pepperscene.camera import Sensor
 
 Array = NDArray[np.float64]
 OBSERVABLE_COUNT: Final = 8

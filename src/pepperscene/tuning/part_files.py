@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash, load_flash
-from pepperscene.cultivar import PigmentPath, Pigments
+from pepperscene.cultivar import Cultivar, PigmentPath, Pigments
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.materials.leaf import gloss_lobes
 from pepperscene.spectra import Spectrum, read_provenance
 from pepperscene.spectra.files import find_material
+from pepperscene.tuning.least_squares import FitResult
 from pepperscene.tuning.report import RunInfo, describe_colours, describe_values, toml_text
 from pepperscene.tuning.tuned import round_for_file, tuned_flash
-
-if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar
-    from pepperscene.tuning.least_squares import FitResult
 
 _TOLERANCE: Final = 1e-6
 """Chosen: largest change of a content when a knot is removed, relative to its range along the path."""

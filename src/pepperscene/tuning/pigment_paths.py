@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.cultivar import CALYX, DEFAULT_KINDS, Fruit, PigmentPath, Pigments
+from pepperscene.cultivar import CALYX, DEFAULT_KINDS, Cultivar, Distribution, Fruit, PigmentPath, Pigments
 from pepperscene.render.gradients.tunable import CONTENTS, RANGES
-
-if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar, Distribution
 
 Array = NDArray[np.float64]
 Component = tuple[float, float, float]  # weight, mean and standard deviation in a mixture

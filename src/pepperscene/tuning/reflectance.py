@@ -21,22 +21,20 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.classes import OrganClass
+from pepperscene.colour import MeasuredSpectrum
+from pepperscene.cultivar import Cultivar, PigmentPath
 from pepperscene.errors import InputError
 from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.materials.gloss import gloss_albedo
 from pepperscene.materials.leaf import gloss_lobes, mean_openness
-
-if TYPE_CHECKING:
-    from pepperscene.colour import MeasuredSpectrum
-    from pepperscene.cultivar import Cultivar, PigmentPath
-    from pepperscene.tuning.tuned import TunedParts
-    from pepperscene.tuning.view_model import Entry, Values
+from pepperscene.tuning.tuned import TunedParts
+from pepperscene.tuning.view_model import Entry, Values
 
 Array = NDArray[np.float64]
 SPHERE_RAD: Final = np.radians(8.0)  # angle of incidence in an integrating sphere (CIE 15, ISO 7724)

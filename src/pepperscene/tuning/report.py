@@ -8,7 +8,7 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import tomlkit
@@ -17,15 +17,13 @@ from tomlkit.container import Container
 from tomlkit.items import Item, Table
 
 from pepperscene.atomic import plain_values
+from pepperscene.colour import PatchSet
 from pepperscene.colour.comparison.tables import UNKNOWN, TextTable
+from pepperscene.tuning.bounds import Parameter
+from pepperscene.tuning.least_squares import FitResult, KindFit
 from pepperscene.tuning.tuned import round_for_file
+from pepperscene.tuning.whole_scene import Agreement, Verification
 from pepperscene.version import __version__
-
-if TYPE_CHECKING:
-    from pepperscene.colour import PatchSet
-    from pepperscene.tuning.bounds import Parameter
-    from pepperscene.tuning.least_squares import FitResult, KindFit
-    from pepperscene.tuning.whole_scene import Agreement, Verification
 
 _WIDTH: Final = 116  # chosen: of comment lines
 FORMAT: Final = "pepperscene tuning 1"
