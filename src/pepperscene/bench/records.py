@@ -6,7 +6,6 @@ import csv
 import dataclasses
 import datetime
 import io
-import os
 import platform
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,6 +18,7 @@ import psutil
 
 from pepperscene.atomic import canonical_json, plain_values, write_files
 from pepperscene.bench.measure import BenchResult
+from pepperscene.building.subprocess_rpc import available_cores
 
 FORMAT: Final = "pepperscene bench 2"
 
@@ -61,11 +61,6 @@ def describe_machine(machine: Mapping[str, Any]) -> str:
         f"{machine['date']}{f', load average {load[0]:.1f} before' if load else ''}; "
         f"Python {machine['python']}, {packages}."
     )
-
-
-def available_cores() -> int:
-    """Number of processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def peak_memory_mib() -> float:

@@ -14,11 +14,12 @@ import numpy as np
 
 from pepperscene.bench.frames_child import FramesTask
 from pepperscene.bench.profile import run_child, run_children, scene_seconds
-from pepperscene.bench.records import BenchmarkFiles, available_cores, machine_info, write_results
+from pepperscene.bench.records import BenchmarkFiles, machine_info, write_results
 from pepperscene.bench.reference import OnProgress
 from pepperscene.bench.report import format_time, markdown_table
 from pepperscene.bench.run import DEFAULT_RUNS, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
+from pepperscene.building.subprocess_rpc import available_cores
 
 _PLANTS: Final = ((1, 0), (3, 0), (4, 3), (7, 6), (14, 12))
 """Plants in the front and the back row."""

@@ -204,9 +204,8 @@ def _first_steps(regions: _Regions, seed: int) -> tuple[Floats, Floats] | None:
 
 def _region_at(regions: _Regions, current: int, centre: Floats, radius: float) -> int | None:
     """The region of similar size that is nearest to a point, if it is within the radius."""
-    distance = np.where(
-        _similar_size(regions, current), np.linalg.norm(regions.centres - centre, axis=1), np.inf
-    )
+    away = np.linalg.norm(regions.centres - centre, axis=1)
+    distance = np.where(_similar_size(regions, current), away, np.inf)
     nearest = int(distance.argmin())
     return nearest if distance[nearest] <= radius else None
 
