@@ -103,9 +103,7 @@ class Errors:
 def measure_errors(images: Iterable[NDArray[np.floating]], reference: Reference) -> Errors:
     """Errors of images of one setting, averaged as squares.
 
-    Args:
-        images: `(h, w, c)` expected electrons each; several images have independent noise.
-        reference: converged image of the same view.
+    Images are `(h, w, c)` expected electrons of the view of the reference, with independent noise.
 
     Raises:
         ValueError: there is no image.
@@ -165,11 +163,7 @@ def mean_flip(image: NDArray[np.float64], reference: NDArray[np.float64]) -> flo
 
 
 def check_packages() -> None:
-    """Check that the packages of the extra `bench` are installed.
-
-    Raises:
-        SetupError: one is missing.
-    """
+    """Raise `SetupError` if a package of the extra `bench` is missing."""
     packages = {"flip_evaluator": "flip-evaluator", "matplotlib": "matplotlib"}
     missing = [package for module, package in packages.items() if find_spec(module) is None]
     if missing:

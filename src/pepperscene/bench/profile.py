@@ -86,11 +86,7 @@ def profile_frames(
 
 
 def run_child(task: FramesTask, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Run one child process and return its measurements.
-
-    Raises:
-        SetupError: it failed.
-    """
+    """Run one child process and return its measurements; errors as of `run_children`."""
     return run_children([task], environment)[0]
 
 

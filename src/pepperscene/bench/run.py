@@ -129,12 +129,7 @@ def run_benchmark(
 
 
 def check_arguments(folder: Path, runs: int, budget_s: float = math.inf) -> None:
-    """Check the arguments before anything is measured.
-
-    Raises:
-        InputError: one is out of range.
-        OutputError: the folder cannot be written.
-    """
+    """Raise `InputError` if an argument is out of range, `OutputError` if the folder cannot be written."""
     if runs < 1:
         raise ArgumentError("runs", f"{runs} must be at least 1")
     if not budget_s > 0.0:

@@ -87,12 +87,7 @@ def measure_scaling(
 
 
 def fit_slope(rows: Sequence[Row], quantity: str) -> float:
-    """Power of a quantity with which the time of a frame grows: slope of log(time) over log(quantity).
-
-    Args:
-        rows: at least two, with `frame_s` in seconds.
-        quantity: key of the rows; sizes "WxH" are converted to numbers of pixels.
-    """
+    """Power of a quantity with which the time of a frame grows: slope of log(time) over log(quantity)."""
     counts = [
         math.prod(map(int, row[quantity].split("x"))) if quantity == "pixels" else row[quantity]
         for row in rows

@@ -131,11 +131,7 @@ def resize_camera(camera: Camera, size: Sequence[int] | None) -> Camera:
 
     Pixels become larger or smaller. So that a photosite still collects the same fraction of its full well,
     the lens transmits less for larger pixels, and the sensor's gain rises for smaller ones: both keep the
-    depth of field, the mixture of lights and the brightness of the image.
-
-    Args:
-        camera: of the recipe.
-        size: width and height, or None for the camera's.
+    depth of field, the mixture of lights and the brightness of the image. None keeps the camera's size.
     """
     if size is None or tuple(size) == (camera.width, camera.height):
         return camera

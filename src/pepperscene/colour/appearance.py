@@ -62,12 +62,8 @@ def lab_hue_deg(lab: ArrayLike) -> Floats:
 def circular_median(angle_deg: ArrayLike, weight: ArrayLike) -> Floats:
     """Angle of a histogram whose mean arc to all angles is least, degrees (Fisher 1993, section 2.3.2).
 
-    Args:
-        angle_deg: `(bins,)` centres of equal bins around the circle.
-        weight: `(..., bins)`, at least 0.
-
-    Returns:
-        `(...)`, each one of the angles; nan if all weights are 0.
+    The angles are the centres `(bins,)` of equal bins around the circle, the weights `(..., bins)` at least
+    0. The result `(...)` is one of the angles; nan if all weights are 0.
     """
     angles, weights = np.asarray(angle_deg, float), np.asarray(weight, float)
     arcs = 180.0 - np.abs(180.0 - np.abs(angles[:, None] - angles[None, :]))
@@ -76,15 +72,9 @@ def circular_median(angle_deg: ArrayLike, weight: ArrayLike) -> Floats:
 
 
 def histogram_percentiles(counts: Floats, width: float, percent: ArrayLike) -> Floats:
-    """Percentiles of histograms by linear interpolation within the bins.
+    """Percentiles `(n, p)` of histograms `(n, bins)` by linear interpolation within the bins; nan if empty.
 
-    Args:
-        counts: `(n, bins)`, of bins that start at 0.
-        width: of a bin.
-        percent: `(p,)` from 0 to 100.
-
-    Returns:
-        `(n, p)`; nan where a histogram is empty.
+    The bins start at 0; `percent` `(p,)` is from 0 to 100.
     """
     fractions = np.asarray(percent, float) / 100.0
     edges = width * np.arange(counts.shape[1] + 1)
@@ -159,14 +149,8 @@ def gloss_fraction(luminance: ArrayLike, saturations: ArrayLike) -> Floats:
 
     Brighter means by `GLOSS_FACTOR` in linear luminance, less saturated means at most `GLOSS_SATURATION`
     times its median. Limits: pale veins, residue and clipped pixels in a shaded organ count as gloss, sheen
-    over more than half of an organ raises the median and does not.
-
-    Args:
-        luminance: `(..., n)` of its pixels, linear; n is at least 1.
-        saturations: `(..., n)` of its pixels.
-
-    Returns:
-        `(...)`.
+    over more than half of an organ raises the median and does not. Linear luminance and saturation are those
+    of its pixels, `(..., n)` with n at least 1; the result is `(...)`.
     """
     bright, weak = np.asarray(luminance, float), np.asarray(saturations, float)
     brighter = bright > GLOSS_FACTOR * np.median(bright, axis=-1, keepdims=True)
@@ -191,12 +175,9 @@ def radial_power_spectrum(luminance: ArrayLike) -> Floats:
     natural images fall with about the square of the frequency (Field 1987, J. Opt. Soc. Am. A 4:2379;
     Torralba & Oliva 2003, Network 14:391).
 
-    Args:
-        luminance: `(h, w)` linear luminance.
-
     Returns:
-        `(SPECTRUM_BINS,)` at `spectrum_frequencies`; nan for rings without a frequency, in small images,
-        and zeros for a black image.
+        `(SPECTRUM_BINS,)` at `spectrum_frequencies`, for a linear luminance `(h, w)`; nan for rings without a
+        frequency, in small images, and zeros for a black image.
     """
     from scipy.fft import rfft2
 

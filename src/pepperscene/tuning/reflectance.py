@@ -66,13 +66,9 @@ power) and rounding are both far below 1e-9 of the slope."""
 
 
 def instrument_reflectance(path: PigmentPath, wavelength_nm: ArrayLike, state: float, *, thin: bool) -> Array:
-    """Reflectance `(n,)` that an integrating sphere reads of the front of a surface.
+    """Reflectance `(n,)` that an integrating sphere reads of the front of a surface, 400 to 1100 nm.
 
-    Args:
-        path: Pigments, flesh and cuticle of the surface.
-        wavelength_nm: `(n,)`, 400 to 1100 nm; others raise a ValueError.
-        state: State along the path, in [0, 1].
-        thin: Whether it is a blade or petal with nothing behind it (PROSPECT's leaf), else a rind on flesh.
+    A thin one is a blade or petal with nothing behind it (PROSPECT's leaf), others are a rind on flesh.
     """
     nm, states = np.atleast_1d(np.asarray(wavelength_nm, dtype=float)), np.array([float(state)])
     if thin:

@@ -56,15 +56,10 @@ def grid_corners(columns: int = COLUMNS, rows: int = ROWS) -> Floats:
 
 
 def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice, slice], NDArray[np.intp]]:
-    """Field numbers of the pixels in the central halves of fields; large charts are subsampled.
+    """The part of a picture that holds a chart, and in it the numbers `(h, w)` of the fields, row by row.
 
-    Args:
-        shape: height and width of the picture.
-        corners: `(4, 2)` pixel coordinates of the chart's corners, from the first field along its first row.
-
-    Returns:
-        The part of the picture that holds the chart, and in it the numbers `(h, w)` of the fields, row by
-        row; -1 outside the fields.
+    Pixels in the central halves of fields have their numbers, others -1; large charts are subsampled. The
+    corners `(4, 2)` go from the first field along its first row.
     """
     left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
     right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int), [shape[1], shape[0]])

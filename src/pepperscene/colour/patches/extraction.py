@@ -50,13 +50,7 @@ def reflectance_file(path_or_name: str | Path) -> Path:
 
 
 def read_reflectance(file: str | Path, column: str, kind: str, name: str | None = None) -> MeasuredSpectrum:
-    """Read one column of a CSV file of reflectances.
-
-    Args:
-        file: its path, or the name of a shipped one ("vrhel_fruit_vegetable_reflectance").
-        column: name of the column.
-        kind: kind of organ that was measured.
-        name: of the patch; None takes the column's.
+    """Read one column of a CSV file of reflectances of a kind of organ; its name is the column's by default.
 
     Raises:
         InputError: there is no such file or column, it has no provenance, or it holds no reflectances.
