@@ -29,7 +29,7 @@ from cycles_settings import REFERENCE, STANDARD_SETTINGS, CyclesSetting
 from pepperscene.bench.image_errors import Errors, Reference, check_packages, measure_errors
 from pepperscene.bench.measure import BenchResult
 from pepperscene.bench.plot import Panel, plot_pareto
-from pepperscene.bench.records import FORMAT, describe_machine, machine_info, result_json, write_results
+from pepperscene.bench.records import FORMAT, machine_info, result_json, write_results
 from pepperscene.bench.report import (
     format_error,
     markdown_table,
@@ -163,13 +163,11 @@ def measure(
         f"{reference_run.fixed_seconds:.1f} s more. Errors are against two halves of Cycles' own reference, "
         f"whose noise cancels; the error of their mean is {reference.error_codes:.2g} codes."
     )
-    parts = [describe_machine(machine), introduction, cycles_table(results, runs, reference)]
+    parts = [introduction, cycles_table(results, runs, reference)]
     ratios = time_ratios([*ours, *results], FAMILIES) if ours else []
     if ratios:
         parts += ["Time at equal error, interpolated between measured settings:", ratio_table(ratios)]
-    markdown = "\n\n".join(parts) + "\n"
     content: dict[str, Any] = {
-        "machine": machine,
         "scene": scene_name,
         "size": pixels,
         "reference_error_codes": reference.error_codes,
@@ -184,8 +182,7 @@ def measure(
     )
     plots = plot_pareto([panel], "Rendering time and error of a frame; lower left is better")
     others = {f"pareto_{scene_name}.{suffix}": plot for suffix, plot in plots.items()}
-    write_results(folder, "cycles", content, markdown, others)
-    return markdown
+    return write_results(folder, "cycles", machine, content, parts, others).markdown
 
 
 def select_scene(name: str) -> BenchScene:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import platform
 import re
@@ -261,6 +262,17 @@ def _json_lines(value: Any, levels: int) -> str:
     if levels and isinstance(value, list) and value and isinstance(value[0], dict):
         return "[\n" + ",\n".join(_dumps(entry) for entry in value) + "\n]"
     return _dumps(value)
+
+
+def plain_values(value: Any) -> Any:
+    """Nested data with Python's own types, and None for numbers that JSON cannot represent."""
+    if hasattr(value, "tolist"):  # an array of NumPy, or one of its numbers
+        return plain_values(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_values(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def digest(path: Path, kind: FileKind = "values", *, within: Path | None = None) -> str:

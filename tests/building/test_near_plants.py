@@ -297,7 +297,7 @@ def test_full_plants_change_nothing_but_themselves(builder):
 def ball_plants(distance_m):
     """One plant, a ball with a radius of 10 cm, whose surface is as far along y from the origin."""
     ball = replace(sphere((0, 0, 0), 0.1), instances=(Instance(OrganClass.PEPPER, "fruit"),))
-    row = FarRow(0, 7, np.array([0]), np.array([0.3]), np.array([[0.0, distance_m + 0.1, 1.0]]))
+    row = FarRow(0, np.array([7]), np.array([0]), np.array([0.3]), np.array([[0.0, distance_m + 0.1, 1.0]]))
     return CoarsePlants([ball], [row])
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from bodies import RANGE_NM, axis_camera, body, card, sphere
+from random_leaves import leaf_corners
 
 from pepperscene.camera import Lamp, aimed_axes
 from pepperscene.camera.lamps.beam import lambertian_beam
@@ -106,16 +107,7 @@ def test_lossless_surfaces_absorb_nothing():
 
 def leaves(count: int, size_m: float, rng, low, high, *, horizontal: bool) -> list[Mesh]:
     """Square leaves with centres in a box, of all orientations alike or level."""
-    centres = rng.uniform(low, high, (count, 3))
-    normals, others = rng.standard_normal((2, count, 3))
-    if horizontal:
-        normals[:] = 0.0, 0.0, 1.0
-    u = np.cross(normals, others)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(normals, u)
-    v /= np.linalg.norm(v, axis=1, keepdims=True)
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size_m / 2.0
-    vertices = centres[:, None] + corners[:, :1] * u[:, None] + corners[:, 1:] * v[:, None]
+    vertices = leaf_corners(rng.uniform(low, high, (count, 3)), size_m, rng, level=horizontal)
     return [trimesh.Trimesh(part, [[0, 1, 2], [0, 2, 3]], process=False) for part in vertices]
 
 

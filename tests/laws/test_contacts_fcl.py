@@ -146,11 +146,6 @@ def count_fruit(meshes: Iterable[Mesh]) -> tuple[int, int]:
 
 
 @pytest.fixture(scope="module")
-def kaite() -> Cultivar:
-    return load_cultivar("kaite")
-
-
-@pytest.fixture(scope="module")
 def plants(kaite: Cultivar) -> list[Mesh]:
     return [unresolved(kaite, seed) for seed in range(50, 54)]
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from bodies import EVEN_SKY, axis_camera, body, lux, sheet
+from random_leaves import leaf_corners
 from scipy import integrate
 
 from pepperscene.geometry import concatenate_meshes
@@ -71,13 +72,7 @@ def canopy(scattering: float | None):
     count = int(LEAF_AREA_INDEX * (2.0 * HALF_WIDTH_M) ** 2 / LEAF_M**2)
     centres = rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, (count, 3))
     centres[:, 2] = rng.uniform(-0.05 - HEIGHT_M, -0.05, count)
-    normals, others = rng.standard_normal((2, count, 3))  # all orientations alike
-    u = np.cross(normals, others)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(normals, u)
-    v /= np.linalg.norm(v, axis=1, keepdims=True)
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * LEAF_M / 2.0
-    vertices = centres[:, None] + corners[:, :1] * u[:, None] + corners[:, 1:] * v[:, None]
+    vertices = leaf_corners(centres, LEAF_M, rng)
     faces = (4 * np.arange(count)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     leaves = body(trimesh.Trimesh(vertices.reshape(-1, 3), faces, process=False), "leaf")
     nm, half = np.array([300.0, 1100.0]), scattering / 2.0

@@ -12,7 +12,7 @@ from bodies import axis_camera, card, sphere
 
 from pepperscene.camera import expected_electrons
 from pepperscene.classes import Appearance
-from pepperscene.cultivar import Cultivar, load_cultivar
+from pepperscene.cultivar import load_cultivar
 from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import Surface, lambertian_surface, organ_surfaces
 from pepperscene.render.arrays import local_coordinates
@@ -41,11 +41,6 @@ the step is in decimetres. A dark stem needs 2 cm, for an error of 2e-3, which f
 
 def quality(samples: int, bounces: int = 2) -> Quality:
     return Quality(samples, samples, samples, bounces, target=None, denoise=False)
-
-
-@pytest.fixture(scope="module")
-def kaite() -> Cultivar:
-    return load_cultivar("kaite")
 
 
 @pytest.fixture(scope="module")

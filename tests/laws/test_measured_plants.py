@@ -30,7 +30,7 @@ from calipers import (
 from numpy.typing import NDArray
 from scipy import stats
 
-from pepperscene.cultivar import Cultivar, Distribution, Slot, load_cultivar
+from pepperscene.cultivar import Cultivar, Distribution, Slot
 from pepperscene.geometry import Mesh, mesh_plant, resolve_contacts
 from pepperscene.grammar import Plant, grow
 
@@ -272,11 +272,6 @@ def sample(request: pytest.FixtureRequest, kaite: Cultivar) -> Sample:
         plant = grow(kaite, np.random.default_rng(seed))
         measure(result, mesh_plant(plant), mesh_plant(pressed_blades(plant)), kaite)
     return result
-
-
-@pytest.fixture(scope="module")
-def kaite() -> Cultivar:
-    return load_cultivar("kaite")
 
 
 @pytest.mark.parametrize("name", TABLE_1)

@@ -1,7 +1,8 @@
 """Benchmarks of this program on the user's machine."""
 
 from pepperscene.bench.profile import profile_frames
-from pepperscene.bench.run import BenchmarkFiles, run_benchmark
+from pepperscene.bench.records import BenchmarkFiles
+from pepperscene.bench.run import run_benchmark
 from pepperscene.bench.scaling import measure_scaling
 from pepperscene.bench.scenes import SCENES, BenchScene, parse_size, select_scenes
 

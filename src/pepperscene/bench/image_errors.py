@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from pepperscene.camera import Camera, add_pedestal, camera_rgb, correct_colours
+from pepperscene.camera.image.colorimetry import srgb_encode
 from pepperscene.errors import SetupError
 
 _MEAN_WEIGHT: Final = 1e-2
@@ -102,9 +103,7 @@ class Errors:
 def measure_errors(images: Iterable[NDArray[np.floating]], reference: Reference) -> Errors:
     """Errors of images of one setting, averaged as squares.
 
-    Args:
-        images: `(h, w, c)` expected electrons each; several images have independent noise.
-        reference: converged image of the same view.
+    Images are `(h, w, c)` expected electrons of the view of the reference, with independent noise.
 
     Raises:
         ValueError: there is no image.
@@ -142,10 +141,7 @@ def develop_codes(electrons: NDArray[Any], camera: Camera) -> NDArray[np.float64
     exact = dataclasses.replace(camera, developing=dataclasses.replace(camera.developing, quantise=False))
     corrected = add_pedestal(correct_colours(camera_rgb(electrons, exact), exact), exact)
     linear = np.clip(np.asarray(corrected, float), 0.0, 1.0)
-    if camera.developing.tone == "srgb":
-        # IEC 61966-2-1, as `pepperscene.camera.encode_tone` has it with rounding.
-        linear = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return linear * 255.0
+    return (srgb_encode(linear) if camera.developing.tone == "srgb" else linear) * 255.0
 
 
 def rms(difference: NDArray[np.floating]) -> float:
@@ -167,11 +163,7 @@ def mean_flip(image: NDArray[np.float64], reference: NDArray[np.float64]) -> flo
 
 
 def check_packages() -> None:
-    """Check that the packages of the extra `bench` are installed.
-
-    Raises:
-        SetupError: one is missing.
-    """
+    """Raise `SetupError` if a package of the extra `bench` is missing."""
     packages = {"flip_evaluator": "flip-evaluator", "matplotlib": "matplotlib"}
     missing = [package for module, package in packages.items() if find_spec(module) is None]
     if missing:

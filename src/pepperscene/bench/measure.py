@@ -203,15 +203,9 @@ def measure_variant(
     *,
     limit_s: float = math.inf,
 ) -> list[BenchResult]:
-    """Measure the named qualities of a scene with another variant, in a subprocess.
+    """Measure the named qualities of a scene with another variant of Mitsuba, in a subprocess.
 
-    Args:
-        variant: of Mitsuba.
-        scene: name of the benchmark scene.
-        size: of the images, or None for the camera's.
-        runs: number of rounds.
-        references: folder with the cached reference.
-        limit_s: approximate time limit of the measurement, which each quality exceeds if it must.
+    `references` is the folder with the cached reference. Each quality exceeds the time limit if it must.
 
     Raises:
         SetupError: the process failed.

@@ -42,12 +42,7 @@ class _Style:
 
 
 def plot_pareto(panels: Sequence[Panel], title: str) -> dict[str, bytes]:
-    """Plot error against time, one panel for each scene, as "png" and "svg".
-
-    Args:
-        panels: at least one.
-        title: above all panels.
-    """
+    """Plot error against time, one panel for each scene, as "png" and "svg"."""
     import matplotlib
     from matplotlib.figure import Figure
 

@@ -16,10 +16,10 @@ from time import perf_counter
 from typing import Any, Final
 
 from pepperscene.bench.frames_child import PLANT_STAGES, FramesTask
-from pepperscene.bench.records import describe_machine, machine_info, write_results
+from pepperscene.bench.records import BenchmarkFiles, machine_info, write_results
 from pepperscene.bench.reference import OnProgress
 from pepperscene.bench.report import time_table
-from pepperscene.bench.run import DEFAULT_RUNS, BenchmarkFiles, check_arguments
+from pepperscene.bench.run import DEFAULT_RUNS, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
 from pepperscene.errors import SetupError
 
@@ -61,7 +61,8 @@ def profile_frames(
     folder = Path(out)
     check_arguments(folder, runs)
     machine, quality = machine_info(), "draft" if quick else "standard"
-    chapters, profiles = [describe_machine(machine)], {}
+    chapters: list[str] = []
+    profiles = {}
     for scene in scenes:
         task = FramesTask(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
         profiles[scene.name] = profile = _profile_scene(task, runs, scene.name, on_progress)
@@ -80,17 +81,12 @@ def profile_frames(
         for what, arguments in _START_UP.items()
     }
     chapters += ["#### Start-up", time_table(start_up.items())]
-    markdown = "\n\n".join(chapters) + "\n"
-    content = {"machine": machine, "scenes": profiles, "start_up": start_up}
-    return BenchmarkFiles(write_results(folder, "profile", content, markdown, {}), markdown)
+    content = {"scenes": profiles, "start_up": start_up}
+    return write_results(folder, "profile", machine, content, chapters)
 
 
 def run_child(task: FramesTask, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Run one child process and return its measurements.
-
-    Raises:
-        SetupError: it failed.
-    """
+    """Run one child process and return its measurements; errors as of `run_children`."""
     return run_children([task], environment)[0]
 
 

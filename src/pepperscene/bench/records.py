@@ -6,21 +6,19 @@ import csv
 import dataclasses
 import datetime
 import io
-import math
-import os
 import platform
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
 import psutil
 
-from pepperscene.atomic import atomic_write, canonical_json
+from pepperscene.atomic import canonical_json, plain_values, write_files
 from pepperscene.bench.measure import BenchResult
-from pepperscene.errors import OutputError
+from pepperscene.building.subprocess_rpc import available_cores
 
 FORMAT: Final = "pepperscene bench 2"
 
@@ -63,11 +61,6 @@ def describe_machine(machine: Mapping[str, Any]) -> str:
         f"{machine['date']}{f', load average {load[0]:.1f} before' if load else ''}; "
         f"Python {machine['python']}, {packages}."
     )
-
-
-def available_cores() -> int:
-    """Number of processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def peak_memory_mib() -> float:
@@ -137,33 +130,38 @@ def results_csv(results: Sequence[BenchResult]) -> str:
     return text.getvalue()
 
 
+@dataclass(frozen=True)
+class BenchmarkFiles:
+    """Results of a benchmark.
+
+    Attributes:
+        files: paths of the written files.
+        markdown: the tables.
+    """
+
+    files: tuple[Path, ...]
+    markdown: str
+
+
 def write_results(
-    folder: Path, name: str, content: Mapping[str, Any], markdown: str, extra_files: Mapping[str, bytes]
-) -> tuple[Path, ...]:
+    folder: Path,
+    name: str,
+    machine: Mapping[str, Any],
+    content: Mapping[str, Any],
+    chapters: Iterable[str],
+    extra_files: Mapping[str, bytes] | None = None,
+) -> BenchmarkFiles:
     """Write `name.json`, `name.md` and other files into a folder, all or none.
+
+    The machine, of `machine_info`, is part of the JSON file and the first chapter of the other.
 
     Raises:
         OutputError: the folder cannot be written.
     """
+    markdown = "\n\n".join([describe_machine(machine), *chapters]) + "\n"
     files = {
-        f"{name}.json": canonical_json(_replace_nan({"format": FORMAT, **content})),
+        f"{name}.json": canonical_json(plain_values({"format": FORMAT, "machine": machine, **content})),
         f"{name}.md": markdown.encode(),
-        **extra_files,
+        **(extra_files or {}),
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            for file, data in files.items():
-                stack.enter_context(atomic_write(folder / file)).write_bytes(data)
-    except OSError as error:
-        raise OutputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
-    return tuple(folder / file for file in files)
-
-
-def _replace_nan(value: Any) -> Any:
-    """Nested data with None for numbers that are not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): _replace_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_replace_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return BenchmarkFiles(write_files(folder, files), markdown)

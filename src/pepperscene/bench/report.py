@@ -39,14 +39,7 @@ def time_at_error(error: float, points: Sequence[Point]) -> float | None:
     """Seconds for an error on the Pareto front of measured points.
 
     log(seconds) is linear in log(error) between neighbours: Monte Carlo integration follows such a line,
-    error ~ seconds^-1/2.
-
-    Args:
-        error: above 0.
-        points: of one family of settings.
-
-    Returns:
-        Seconds; None for an error above the largest or below the smallest one of the front.
+    error ~ seconds^-1/2. None for an error above the largest or below the smallest one of the front.
 
     Raises:
         ValueError: the error is not above 0.

@@ -10,12 +10,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from pepperscene.atomic import check_can_create
+from pepperscene.atomic import check_can_create, write_error
 from pepperscene.bench.image_errors import check_packages
 from pepperscene.bench.measure import BenchResult, measure_settings, measure_variant, other_variants
 from pepperscene.bench.plot import Panel, plot_pareto
 from pepperscene.bench.records import (
-    describe_machine,
+    BenchmarkFiles,
     machine_info,
     result_json,
     results_csv,
@@ -31,7 +31,7 @@ from pepperscene.bench.report import (
 )
 from pepperscene.bench.scenes import SCENES, BenchScene, load_subject
 from pepperscene.bench.settings import Setting, settings
-from pepperscene.errors import ArgumentError, OutputError
+from pepperscene.errors import ArgumentError
 from pepperscene.render import QUALITIES
 
 DEFAULT_RUNS: Final = 5
@@ -53,19 +53,6 @@ _SMALL_REFERENCE: Final = dataclasses.replace(QUALITIES["reference"], samples=32
 _SMALL_TARGET_FRACTION: Final = 0.5
 """Chosen: within a time limit, target error of the reference over the smallest error of interest. The noise
 of its halves cancels, so the remaining time is better spent on the settings."""
-
-
-@dataclass(frozen=True)
-class BenchmarkFiles:
-    """Results of a benchmark.
-
-    Attributes:
-        files: paths of the written files.
-        markdown: the tables.
-    """
-
-    files: tuple[Path, ...]
-    markdown: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +108,6 @@ def run_benchmark(
     results = [result for one in measured for result in one.results]
     ratios = {one.scene.name: time_ratios(one.results) for one in measured}
     content = {
-        "machine": machine,
         "asked": {
             "size": size, "runs": runs, "budget_s": budget_s, "quick": quick, "all_settings": all_settings,
         },
@@ -132,28 +118,18 @@ def run_benchmark(
             for name, of_scene in ratios.items()
         },
     }  # fmt: skip
-    parts = [
-        describe_machine(machine),
-        "\n".join(map(_scene_line, measured)),
-        result_table(results),
-        *_sentences_at_one_code(ratios),
-    ]
-    markdown = "\n\n".join(parts) + "\n"
+    scene_lines = "\n".join(map(_scene_line, measured))
+    chapters = [scene_lines, result_table(results), *_sentences_at_one_code(ratios)]
     panels = [Panel(f"{one.scene.name}, {one.size}", one.scene.description, one.results) for one in measured]
     plots = plot_pareto(panels, "Rendering time and error of a frame; lower left is better")
     extra_files = {"results.csv": results_csv(results).encode()} | {
         f"pareto.{suffix}": plot for suffix, plot in plots.items()
     }
-    return BenchmarkFiles(write_results(folder, "results", content, markdown, extra_files), markdown)
+    return write_results(folder, "results", machine, content, chapters, extra_files)
 
 
 def check_arguments(folder: Path, runs: int, budget_s: float = math.inf) -> None:
-    """Check the arguments before anything is measured.
-
-    Raises:
-        InputError: one is out of range.
-        OutputError: the folder cannot be written.
-    """
+    """Raise `InputError` if an argument is out of range, `OutputError` if the folder cannot be written."""
     if runs < 1:
         raise ArgumentError("runs", f"{runs} must be at least 1")
     if not budget_s > 0.0:
@@ -187,8 +163,7 @@ def _measure_scene(
             on_progress=on_progress,
         )
     except OSError as error:
-        path = error.filename or references
-        raise OutputError(f"{path}: cannot be written ({error.strerror})") from None
+        raise write_error(error, references) from None
     variants = other_variants()
     # A reference that is finished early leaves more time for the settings; variants share the time equally.
     left_s = limit_s - (perf_counter() - start)
@@ -240,9 +215,5 @@ def _sentences_at_one_code(ratios: Mapping[str, Sequence[TimeRatio]]) -> list[st
         for ratio in of_scene
         if ratio.error_codes == CODES_OF_INTEREST and ratio.ours == "best"
     ]
-    if not lines:
-        return []
-    return [
-        f"Time at an error of {CODES_OF_INTEREST:g} code, interpolated between measured settings:",
-        "\n".join(lines),
-    ]
+    heading = f"Time at an error of {CODES_OF_INTEREST:g} code, interpolated between measured settings:"
+    return [heading, "\n".join(lines)] if lines else []

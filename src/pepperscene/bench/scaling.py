@@ -14,11 +14,12 @@ import numpy as np
 
 from pepperscene.bench.frames_child import FramesTask
 from pepperscene.bench.profile import run_child, run_children, scene_seconds
-from pepperscene.bench.records import available_cores, describe_machine, machine_info, write_results
+from pepperscene.bench.records import BenchmarkFiles, machine_info, write_results
 from pepperscene.bench.reference import OnProgress
 from pepperscene.bench.report import format_time, markdown_table
-from pepperscene.bench.run import DEFAULT_RUNS, BenchmarkFiles, check_arguments
+from pepperscene.bench.run import DEFAULT_RUNS, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
+from pepperscene.building.subprocess_rpc import available_cores
 
 _PLANTS: Final = ((1, 0), (3, 0), (4, 3), (7, 6), (14, 12))
 """Plants in the front and the back row."""
@@ -59,7 +60,8 @@ def measure_scaling(
     folder = Path(out)
     check_arguments(folder, runs)
     machine, quality = machine_info(), "draft" if quick else "standard"
-    chapters, measured, slopes = [describe_machine(machine)], {}, {}
+    chapters: list[str] = []
+    measured, slopes = {}, {}
     for scene in scenes:
         task = FramesTask(scene.recipe, dict(scene.changes), scene.index, size, runs, quality=quality)
         # Not counted: it warms the caches of the disk and of compiled kernels.
@@ -80,18 +82,12 @@ def measure_scaling(
             if name in _SLOPES:
                 power = round(slopes[scene.name][name], 2) + 0.0  # no minus sign before 0
                 chapters.append(f"The time of a frame grows as {name}^{power:.2f}.")
-    markdown = "\n\n".join(chapters) + "\n"
-    content = {"machine": machine, "scenes": measured, "slopes": slopes}
-    return BenchmarkFiles(write_results(folder, "scaling", content, markdown, {}), markdown)
+    content = {"scenes": measured, "slopes": slopes}
+    return write_results(folder, "scaling", machine, content, chapters)
 
 
 def fit_slope(rows: Sequence[Row], quantity: str) -> float:
-    """Power of a quantity with which the time of a frame grows: slope of log(time) over log(quantity).
-
-    Args:
-        rows: at least two, with `frame_s` in seconds.
-        quantity: key of the rows; sizes "WxH" are converted to numbers of pixels.
-    """
+    """Power of a quantity with which the time of a frame grows: slope of log(time) over log(quantity)."""
     counts = [
         math.prod(map(int, row[quantity].split("x"))) if quantity == "pixels" else row[quantity]
         for row in rows

@@ -131,11 +131,7 @@ def resize_camera(camera: Camera, size: Sequence[int] | None) -> Camera:
 
     Pixels become larger or smaller. So that a photosite still collects the same fraction of its full well,
     the lens transmits less for larger pixels, and the sensor's gain rises for smaller ones: both keep the
-    depth of field, the mixture of lights and the brightness of the image.
-
-    Args:
-        camera: of the recipe.
-        size: width and height, or None for the camera's.
+    depth of field, the mixture of lights and the brightness of the image. None keeps the camera's size.
     """
     if size is None or tuple(size) == (camera.width, camera.height):
         return camera
@@ -170,14 +166,7 @@ class BenchSubject:
     def render(
         self, quality: str | Quality, seed: int, camera: Camera | None = None, *, full: bool = False
     ) -> Frame:
-        """Render the light of a view, by default of the frame whose error is measured.
-
-        Args:
-            quality: of the frame.
-            seed: of its samples.
-            camera: another view, or None.
-            full: True renders the full scene.
-        """
+        """Render the light of a view, by default of the frame whose error is measured."""
         renderer = self.full_renderer if full else self.renderer
         return renderer.render(camera or self.camera, TRACED, quality, seed)
 
@@ -190,12 +179,7 @@ class BenchSubject:
 
 
 def load_subject(bench_scene: BenchScene, size: tuple[int, int] | None, frames: int) -> BenchSubject:
-    """Build a benchmark scene and its renderers.
-
-    Args:
-        bench_scene: of `SCENES`.
-        size: of the image, or None for the camera's.
-        frames: number of cameras on the path that are timed.
+    """Build a benchmark scene and its renderers; `frames` cameras on the path are timed.
 
     Raises:
         SetupError: the machine cannot render.

@@ -72,7 +72,12 @@ def settings(*, quick: bool = False, all_settings: bool = False) -> tuple[Settin
     return (
         *default,
         *_path_settings(PLAIN, "independent", 256),
-        *_fixed_settings(1, 4, 16, 64),
+        # Equal samples in every pixel, a quarter of them for soft light; with and without denoiser.
+        *(
+            _fixed_setting(family, count, soft=max(count // 4, 1), denoise=denoise)
+            for family, denoise in ((FIXED, True), (NO_DENOISER, False))
+            for count in (1, 4, 16, 64)
+        ),
         Setting(FULL_SCENE, "standard", standard, full_scene=True),
         *(
             setting
@@ -86,15 +91,6 @@ def settings(*, quick: bool = False, all_settings: bool = False) -> tuple[Settin
 def _adaptive_setting(target: float) -> Setting:
     """The standard quality with another target error."""
     return Setting(ADAPTIVE, f"target {target:g}", resolve_quality("standard", target))
-
-
-def _fixed_settings(*counts: int) -> list[Setting]:
-    """Equal samples in every pixel, a quarter of them for soft light; with and without denoiser."""
-    return [
-        _fixed_setting(family, count, soft=max(count // 4, 1), denoise=denoise)
-        for family, denoise in ((FIXED, True), (NO_DENOISER, False))
-        for count in counts
-    ]
 
 
 def _path_settings(family: str, sampler: Sampler, *counts: int) -> list[Setting]:

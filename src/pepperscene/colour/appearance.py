@@ -62,12 +62,8 @@ def lab_hue_deg(lab: ArrayLike) -> Floats:
 def circular_median(angle_deg: ArrayLike, weight: ArrayLike) -> Floats:
     """Angle of a histogram whose mean arc to all angles is least, degrees (Fisher 1993, section 2.3.2).
 
-    Args:
-        angle_deg: `(bins,)` centres of equal bins around the circle.
-        weight: `(..., bins)`, at least 0.
-
-    Returns:
-        `(...)`, each one of the angles; nan if all weights are 0.
+    The angles are the centres `(bins,)` of equal bins around the circle, the weights `(..., bins)` at least
+    0. The result `(...)` is one of the angles; nan if all weights are 0.
     """
     angles, weights = np.asarray(angle_deg, float), np.asarray(weight, float)
     arcs = 180.0 - np.abs(180.0 - np.abs(angles[:, None] - angles[None, :]))
@@ -76,15 +72,9 @@ def circular_median(angle_deg: ArrayLike, weight: ArrayLike) -> Floats:
 
 
 def histogram_percentiles(counts: Floats, width: float, percent: ArrayLike) -> Floats:
-    """Percentiles of histograms by linear interpolation within the bins.
+    """Percentiles `(n, p)` of histograms `(n, bins)` by linear interpolation within the bins; nan if empty.
 
-    Args:
-        counts: `(n, bins)`, of bins that start at 0.
-        width: of a bin.
-        percent: `(p,)` from 0 to 100.
-
-    Returns:
-        `(n, p)`; nan where a histogram is empty.
+    The bins start at 0; `percent` `(p,)` is from 0 to 100.
     """
     fractions = np.asarray(percent, float) / 100.0
     edges = width * np.arange(counts.shape[1] + 1)
@@ -99,33 +89,27 @@ def histogram_percentiles(counts: Floats, width: float, percent: ArrayLike) -> F
 # --- texture ------------------------------------------------------------------------------------------------
 
 
-def patch_grid(regions: NDArray[Any], patch_px: int = PATCH_PX) -> NDArray[np.int64]:
-    """Square patches, side by side, that are wholly within one region.
+def patch_grid(regions: NDArray[Any]) -> NDArray[np.int64]:
+    """`(n, 2)` row and column of the first pixels of square patches, side by side, each wholly in one region.
 
     Args:
         regions: `(h, w)` numbers of regions; 0 is none.
-        patch_px: side of a patch.
-
-    Returns:
-        `(n, 2)` row and column of their first pixels.
     """
-    rows, columns = (side // patch_px for side in regions.shape)
+    rows, columns = (side // PATCH_PX for side in regions.shape)
     if not rows or not columns:
         return np.zeros((0, 2), np.int64)
-    blocks = regions[: rows * patch_px, : columns * patch_px].reshape(rows, patch_px, columns, patch_px)
+    blocks = regions[: rows * PATCH_PX, : columns * PATCH_PX].reshape(rows, PATCH_PX, columns, PATCH_PX)
     least, greatest = blocks.min(axis=(1, 3)), blocks.max(axis=(1, 3))
-    return patch_px * np.argwhere((least == greatest) & (least > 0))
+    return PATCH_PX * np.argwhere((least == greatest) & (least > 0))
 
 
-def patch_pixels(
-    corners: NDArray[np.int64], patch_px: int = PATCH_PX
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows `(n, patch_px, 1)` and columns `(n, 1, patch_px)` of the pixels of patches, to index an image."""
-    offsets = np.arange(patch_px)
+def patch_pixels(corners: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows `(n, PATCH_PX, 1)` and columns `(n, 1, PATCH_PX)` of the pixels of patches, to index an image."""
+    offsets = np.arange(PATCH_PX)
     return corners[:, 0, None, None] + offsets[:, None], corners[:, 1, None, None] + offsets
 
 
-def structure_tensors(lightness: Floats, blur_px: float = BLUR_PX) -> Floats:
+def structure_tensors(lightness: Floats) -> Floats:
     """Products of the gradients of an image: `(h, w, 3)` of gx gx, gx gy and gy gy per pixel squared.
 
     Gradients are derivatives of a Gaussian (Bigün & Granlund 1987, "Optimal orientation detection of linear
@@ -133,13 +117,17 @@ def structure_tensors(lightness: Floats, blur_px: float = BLUR_PX) -> Floats:
     """
     from scipy.ndimage import gaussian_filter
 
-    across = gaussian_filter(lightness, blur_px, order=(0, 1))
-    down = gaussian_filter(lightness, blur_px, order=(1, 0))
+    across = gaussian_filter(lightness, BLUR_PX, order=(0, 1))
+    down = gaussian_filter(lightness, BLUR_PX, order=(1, 0))
     return np.stack([across * across, across * down, down * down], axis=-1)
 
 
 def principal_gradients(tensors: ArrayLike) -> tuple[Floats, Floats]:
-    """Mean squares of the gradient along the two principal directions, the greater first.
+    """Mean squares `(...)` of the gradient along the two principal directions, the greater first.
+
+    The ratio of their roots is 1 if slopes are alike in all directions, and large for stripes. A random
+    texture in a small patch has a ratio slightly above 1, since the directions are chosen from the same
+    gradients.
 
     Args:
         tensors: `(..., 3)` structure tensors: xx, xy, yy.
@@ -147,18 +135,6 @@ def principal_gradients(tensors: ArrayLike) -> tuple[Floats, Floats]:
     xx, xy, yy = np.moveaxis(np.asarray(tensors, float), -1, 0)
     half, difference = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     return half + difference, np.maximum(half - difference, 0.0)
-
-
-def gradient_ratio(tensors: ArrayLike) -> Floats:
-    """Ratio of the rms gradients across and along the main direction of structure tensors `(..., 3)`.
-
-    1 if slopes are alike in all directions, large for stripes, infinite if there is one direction only.
-    A random texture in a small patch has a ratio slightly above 1, since the principal directions are chosen
-    from the same gradients.
-    """
-    greater, lesser = principal_gradients(tensors)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.sqrt(greater / lesser))
 
 
 def coherence(tensors: ArrayLike) -> Floats:
@@ -173,14 +149,8 @@ def gloss_fraction(luminance: ArrayLike, saturations: ArrayLike) -> Floats:
 
     Brighter means by `GLOSS_FACTOR` in linear luminance, less saturated means at most `GLOSS_SATURATION`
     times its median. Limits: pale veins, residue and clipped pixels in a shaded organ count as gloss, sheen
-    over more than half of an organ raises the median and does not.
-
-    Args:
-        luminance: `(..., n)` of its pixels, linear; n is at least 1.
-        saturations: `(..., n)` of its pixels.
-
-    Returns:
-        `(...)`.
+    over more than half of an organ raises the median and does not. Linear luminance and saturation are those
+    of its pixels, `(..., n)` with n at least 1; the result is `(...)`.
     """
     bright, weak = np.asarray(luminance, float), np.asarray(saturations, float)
     brighter = bright > GLOSS_FACTOR * np.median(bright, axis=-1, keepdims=True)
@@ -205,12 +175,9 @@ def radial_power_spectrum(luminance: ArrayLike) -> Floats:
     natural images fall with about the square of the frequency (Field 1987, J. Opt. Soc. Am. A 4:2379;
     Torralba & Oliva 2003, Network 14:391).
 
-    Args:
-        luminance: `(h, w)` linear luminance.
-
     Returns:
-        `(SPECTRUM_BINS,)` at `spectrum_frequencies`; nan for rings without a frequency, in small images,
-        and zeros for a black image.
+        `(SPECTRUM_BINS,)` at `spectrum_frequencies`, for a linear luminance `(h, w)`; nan for rings without a
+        frequency, in small images, and zeros for a black image.
     """
     from scipy.fft import rfft2
 
@@ -253,16 +220,9 @@ def _ring_edges() -> Floats:
 
 
 def resize_linear(linear: ArrayLike, width: int) -> Floats:
-    """Resample an image of linear light to a width in pixels, keeping its shape.
+    """Resample an image `(h, w, 3)` of linear light to a width in pixels, keeping its shape.
 
     Lanczos filter, in linear light, so that a reduced image has the colours of a camera with larger pixels.
-
-    Args:
-        linear: `(h, w, 3)`.
-        width: in pixels, at least 1.
-
-    Returns:
-        `(height, width, 3)`, not below 0.
     """
     from PIL import Image
 

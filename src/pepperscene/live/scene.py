@@ -207,7 +207,7 @@ class LiveScene:
         shown = self._coarse[1].shown_near(seen)
         for plant, (grown, turn, base) in builder.full_plants(self._near.built, shown).items():
             number = next(row.number for row in far if plant in row.plants)
-            alone = FarRow(number, plant, np.zeros(1, np.intp), np.array([turn]), base[None])
+            alone = FarRow(number, np.array([plant]), np.zeros(1, np.intp), np.array([turn]), base[None])
             state = state.with_full_plant(plant, grown, alone, builder.greenhouse.far_rows_as)
         return state
 

@@ -35,11 +35,9 @@ indices up to 1.6, and 2e-4 up to 2.5, for every alpha from 0.001 on. Chosen: le
 
 
 def fresnel(cosine: ArrayLike, ior: float) -> FloatArray:
-    """Unpolarised reflectance of a smooth interface seen from the thinner side; 0 if `ior` is 1.
+    """Unpolarised reflectance of a smooth interface seen from the thinner side, by the cosine of incidence.
 
-    Args:
-        cosine: of the angle of incidence, in [0, 1], any shape.
-        ior: relative index of refraction, at least 1.
+    It has the shape of the cosine; the relative index of refraction is at least 1, where it is 0.
     """
     c = np.asarray(cosine, dtype=float)
     if ior <= 1.0:
@@ -55,11 +53,8 @@ def gloss_albedo(
 ) -> FloatArray:
     """Fraction of the light from one direction that the gloss reflects, `(n,)`.
 
-    Args:
-        cosine: `(n,)` between the direction and the normal, in [0, 1].
-        ior: of the cuticle; at 1 there is no gloss.
-        alpha: GGX roughness; at 0 the result is the Fresnel reflectance.
-        steps: of the quadrature, polar and azimuth.
+    `cosine` `(n,)` is that between the direction and the normal. With a GGX roughness `alpha` of 0 the result
+    is the Fresnel reflectance. The quadrature has polar and azimuthal `steps`.
     """
     z = np.atleast_1d(np.asarray(cosine, dtype=float))[:, None, None]
     x = np.sqrt(1.0 - z**2)
@@ -104,13 +99,7 @@ def interpolate_table(table: ArrayLike, cosine: ArrayLike) -> FloatArray:
 def cuticle_transmittance(
     ior: float, alpha: float, steps: tuple[int, int] = _CAP_STEPS
 ) -> tuple[FloatArray, float]:
-    """Transmittance of a cuticle: 1 - E at the nodes, `(NODES,)` read-only, and its cosine-weighted mean.
-
-    Args:
-        ior: of the cuticle.
-        alpha: its GGX roughness.
-        steps: of the quadrature, polar and azimuth.
-    """
+    """Transmittance of a cuticle: 1 - E at the nodes, `(NODES,)` read-only, and its cosine-weighted mean."""
     table = 1.0 - gloss_albedo(node_cosines(), ior, alpha, steps)
     table.setflags(write=False)
     return table, float(_mean_weights() @ table)
@@ -132,10 +121,8 @@ and every alpha."""
 def blur_nodes(narrowest: float) -> FloatArray:
     """`(BLUR_NODES,)` values of 2 s^2, evenly spaced in log(1 + 2 s^2 / narrowest^2).
 
-    The albedo is nearly linear in that variable, because the lobe's roughness is sqrt(alpha^2 + 2 s^2).
-
-    Args:
-        narrowest: smallest roughness of the surface's lobes.
+    The albedo is nearly linear in that variable, because the lobe's roughness is sqrt(alpha^2 + 2 s^2);
+    `narrowest` is the smallest roughness of the surface's lobes.
     """
     nodes = np.linspace(0.0, np.log1p(LARGEST_BLUR / narrowest**2), BLUR_NODES)
     return np.asarray(narrowest**2 * np.expm1(nodes))
@@ -146,11 +133,7 @@ def blurred_transmittances(
 ) -> tuple[FloatArray, FloatArray]:
     """Transmittances of a cuticle with two lobes: `(b, NODES)` at the nodes, and `(b,)` their means.
 
-    Args:
-        ior: of the cuticle.
-        alphas: GGX roughness of the two lobes.
-        wide_share: fraction of the cuticle with the second lobe.
-        blurs: `(b,)` values of 2 s^2 of a filtered relief.
+    The fraction `wide_share` has the second lobe; `blurs` are `(b,)` values of 2 s^2 of a filtered relief.
     """
     tables, means = np.zeros((len(blurs), TABLE_SIZE)), np.zeros(len(blurs))
     for alpha, share in zip(alphas, (1.0 - wide_share, wide_share), strict=True):
@@ -166,12 +149,7 @@ def blurred_transmittances(
 
 @functools.lru_cache(maxsize=256)
 def cone_gloss(ior: float, alpha: float) -> float:
-    """Cosine-weighted mean of the gloss albedo over PROSPECT's cone of incidence.
-
-    Args:
-        ior: of the cuticle.
-        alpha: its GGX roughness.
-    """
+    """Cosine-weighted mean of the gloss albedo over PROSPECT's cone of incidence."""
     node, weight = np.polynomial.legendre.leggauss(16)
     sine_squared = (node + 1.0) / 2.0 * np.sin(INCIDENCE_CONE_RAD) ** 2
     return float(gloss_albedo(np.sqrt(1.0 - sine_squared), ior, alpha) @ weight / 2.0)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.materials.patterns import noise_mm
 from pepperscene.materials.rind import absorption_per_scattering, thick_reflectance
-from pepperscene.materials.surface import Surface
+from pepperscene.materials.surface import Surface, opaque_surface
 from pepperscene.spectra import read_spectrum
 from pepperscene.spectra.spectrum import FloatArray
 
@@ -57,22 +57,26 @@ def greenhouse_surfaces(wavelength_nm: ArrayLike) -> dict[str, Surface]:
     paint = read_spectrum(*WHITE_PAINT, outside="hold").at(nm)
     dusty = GUTTER_CLEANNESS * paint
     rockwool_nm, rockwool = zip(*ROCKWOOL_REFLECTANCE, strict=True)
-    surfaces = (
-        twine_surface(nm),
+    # Reflectance, and roughness of those that are not matt.
+    parts: dict[str, tuple[FloatArray, float | None]] = {
         # The gutter that carries the substrate: white-coated steel, a satin coating.
-        _opaque_surface("gutter", nm, dusty, ior=1.5, roughness=0.3),
+        "gutter": (dusty, 0.3),
         # Foil around slabs and blocks of substrate: white polyethylene, opaque; rougher, as foil creases.
-        _opaque_surface("foil", nm, dusty, ior=1.5, roughness=0.45),
-        # The open upper side of a block of substrate, matt.
-        _opaque_surface("rockwool", nm, np.interp(nm, rockwool_nm, rockwool)),
+        "foil": (dusty, 0.45),
+        # The open upper side of a block of substrate.
+        "rockwool": (np.interp(nm, rockwool_nm, rockwool), None),
         # The floor: white film or woven ground cover on wet, dark ground; worn polyethylene.
-        _opaque_surface("floor_film", nm, _film_on_ground(paint, nm), ior=1.5, roughness=0.5),
-        # The wire that the twine is tied to, matt.
-        _opaque_surface("steel", nm, np.full(nm.size, STEEL_REFLECTANCE)),
+        "floor_film": (_film_on_ground(paint, nm), 0.5),
+        # The wire that the twine is tied to.
+        "steel": (np.full(nm.size, STEEL_REFLECTANCE), None),
         # Heating pipes on the floor: steel painted white, like the gutter.
-        _opaque_surface("pipe", nm, dusty, ior=1.5, roughness=0.3),
-    )
-    return {surface.name: surface for surface in surfaces}
+        "pipe": (dusty, 0.3),
+    }
+    surfaces = {"twine": twine_surface(nm)}
+    for name, (reflectance, alpha) in parts.items():
+        gloss = {} if alpha is None else {"ior": 1.5, "roughness": (alpha, alpha)}
+        surfaces[name] = opaque_surface(name, nm, reflectance[None], **gloss)
+    return surfaces
 
 
 def twine_surface(wavelength_nm: ArrayLike) -> Surface:
@@ -90,9 +94,8 @@ def twine_surface(wavelength_nm: ArrayLike) -> Surface:
     crown, dusty = (thick_reflectance(clean + dust) for dust in (TWINE_DUST, 4.0 * TWINE_DUST))
     # Light leaves at once, or after one or more reflections at the other strand.
     furrow = 0.5 * dusty / (1.0 - 0.5 * dusty)
-    rows = np.repeat(np.stack([furrow, crown])[:, None], 2, axis=1)
     pattern, relief_mm = _strands()
-    return Surface("twine", nm, rows, np.zeros((2, nm.size)), pattern=pattern, relief_mm=relief_mm)
+    return opaque_surface("twine", nm, np.stack([furrow, crown]), pattern=pattern, relief_mm=relief_mm)
 
 
 def _strands() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -123,11 +126,3 @@ def _film_on_ground(paint: FloatArray, nm: FloatArray) -> FloatArray:
     c = b / np.tanh(b * FILM_SCATTERING * 550.0 / nm)
     ground = GROUND_REFLECTANCE
     return np.asarray((1.0 - ground * (a - c)) / (a - ground + c))
-
-
-def _opaque_surface(
-    name: str, nm: FloatArray, reflectance: FloatArray, ior: float = 1.0, roughness: float = 0.3
-) -> Surface:
-    """Surface with the same spectrum on both sides."""
-    both = np.tile(reflectance, (1, 2, 1))
-    return Surface(name, nm, both, np.zeros((1, nm.size)), ior=ior, roughness=(roughness, roughness))

@@ -89,17 +89,12 @@ def gloss_lobes(path: PigmentPath, side: int) -> tuple[tuple[float, float], ...]
 
 
 def mean_gloss(path: PigmentPath, side: int) -> float:
-    """Fraction of the light in PROSPECT's cone of incidence that the gloss of a side reflects.
-
-    Args:
-        path: with one or two lobes, each on its share of the area.
-        side: 0 front, 1 back.
-    """
+    """Fraction of the light in PROSPECT's cone of incidence that the gloss of a side, 0 or 1, reflects."""
     return sum(share * cone_gloss(path.ior, alpha) for share, alpha in gloss_lobes(path, side))
 
 
 def mean_openness(path: PigmentPath, side: int) -> float:
-    """Fraction of diffuse light that passes the cuticle of a side; as `mean_gloss`."""
+    """Fraction of diffuse light that passes the cuticle of a side; see `mean_gloss`."""
     return sum(share * cuticle_transmittance(path.ior, alpha)[1] for share, alpha in gloss_lobes(path, side))
 
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.materials.patterns import Float32Array, PeriodicField, stamp_discs
+from pepperscene.materials.patterns import Float32Array, PeriodicField, scatter_discs, stamp_discs
 from pepperscene.materials.venation import ISLET_MM, RIPPLE_MM, BladeGrid, FieldTile, Venation, grow_veins
 from pepperscene.spectra.spectrum import FloatArray
 
@@ -55,13 +55,9 @@ def leaf_textures(
     count: int = TEXTURES,
     residue_shares: ArrayLike = (1.0, 0.0, 0.0),
 ) -> LeafTextures:
-    """Draw the textures of a leaf surface.
+    """Draw `count` textures of a leaf surface over the pixels of the mean blade.
 
-    Args:
-        grid: pixels over the mean blade.
-        rng: draws everything.
-        count: number t of textures.
-        residue_shares: mean shares of dust, dried spray and mildew in the residue; dust alone by default.
+    The residue has these mean shares of dust, dried spray and mildew.
     """
     tile = FieldTile.build(grid, SIGMAS_MM, rng)
     drops, spots = _spray_drops(grid, tile, rng), _spots(grid, tile, rng)
@@ -189,7 +185,7 @@ def ageing_order(
 def _spray_drops(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> PeriodicField:
     """Relative residue of dried drops: most of it in a rim (the coffee ring), some in a film inside."""
     field = np.full((max(grid.shape),) * 2, 0.05, np.float32)
-    discs = _scatter(field, grid, _DROPS_PER_CM2, _DROP_MM, rng)
+    discs = scatter_discs(rng, len(field), grid.pixel_mm, _DROPS_PER_CM2, _DROP_MM)
 
     def profile(distance: FloatArray, amount: float) -> FloatArray:
         rim = np.exp(-(((distance - 0.85) / 0.15) ** 2))
@@ -203,29 +199,13 @@ def _spray_drops(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> 
 def _spots(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> PeriodicField:
     """Order of ageing of spots, infinite elsewhere; they begin in their middle and grow."""
     field = np.full((max(grid.shape),) * 2, np.inf, np.float32)
-    discs = _scatter(field, grid, _SPOTS_PER_CM2, _SPOT_MM, rng)
+    discs = scatter_discs(rng, len(field), grid.pixel_mm, _SPOTS_PER_CM2, _SPOT_MM)
 
     def profile(distance: FloatArray, amount: float) -> FloatArray:
         return 0.4 * amount + 0.1 * distance**2
 
     stamp_discs(field, discs, 2.0, profile, np.minimum)
     return PeriodicField(field + np.float32(0.025) * tile.noise[0.8].values)
-
-
-def _scatter(
-    field: Float32Array,
-    grid: BladeGrid,
-    per_cm2: float,
-    radius_mm: tuple[float, float],
-    rng: np.random.Generator,
-) -> FloatArray:
-    """`(k, 5)` discs for `stamp_discs` at random positions."""
-    n = len(field)
-    count = round(per_cm2 * (0.1 * n * grid.pixel_mm) ** 2)
-    low, high = (radius / grid.pixel_mm for radius in radius_mm)
-    # Small ones are more frequent: uniform in the logarithm.
-    radii = low * (high / low) ** rng.random(count)
-    return np.stack([*rng.uniform(0.0, n, (2, count)), radii, *rng.random((2, count))], axis=1)
 
 
 def _ridge(distance: Float32Array, half_width: Float32Array | FloatArray | float) -> Float32Array:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
-from hashlib import sha256
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pepperscene.cultivar import Blade, Cultivar, Fruit, OrganForm, OrganModel
+from pepperscene.cultivar import Blade, Cultivar, OrganForm
 from pepperscene.materials.leaf import leaf_surface
 from pepperscene.materials.leaf_textures import leaf_textures
 from pepperscene.materials.measured import measured_surface
-from pepperscene.materials.patterns import noise_mm
+from pepperscene.materials.patterns import named_generator, noise_mm
 from pepperscene.materials.rind import cut_surface, fruit_surface, green_surface
 from pepperscene.materials.rind_textures import FruitSkin
 from pepperscene.materials.skin import Skin, skin_tile
@@ -93,8 +92,7 @@ def _drawn_surface(
     """Surface of the organs of one kind, with textures of this size."""
     form = cultivar.kinds[kind].form
     # A pattern depends on the name alone, so that adding a surface does not change the others.
-    words = np.frombuffer(sha256(name.encode()).digest(), dtype="<u4").tolist()
-    rng = np.random.default_rng([PATTERN_SEED, *words])
+    rng = named_generator(PATTERN_SEED, name)
     if name == "cut":
         stem = cultivar.kinds[cultivar.stem.node].surface
         return cut_surface(cultivar.pigments[stem], nm, rng)
@@ -117,19 +115,15 @@ def _drawn_surface(
         streaks = 0.05 * noise_mm(rng, (64, 64), size_mm, (0.5, 6.0))
         return replace(leaf_surface(name, path, nm), pattern=streaks[None].astype(np.float32))
     if form == "fruit":
-        mean = {key: value.mean for key, value in cultivar.organs[kind].distributions.items()}
+        fruit = cultivar.organs[kind]
+        mean = {key: value.mean for key, value in fruit.distributions.items()}
         # Over the girth that textures are drawn for.
         calyx_mm = (
             1e3 * mean["calyx_radius"] * mean["diameter"] * (size_mm[0] / (1e3 * np.pi * mean["diameter"]))
         )
-        return fruit_surface(name, path, nm, size_mm, calyx_mm, _fruit_skin(cultivar.organs[kind]), rng)
+        skin = FruitSkin(**{field.name: getattr(fruit, field.name) for field in fields(FruitSkin)})
+        return fruit_surface(name, path, nm, size_mm, calyx_mm, skin, rng)
     return green_surface(name, form, path, nm, size_mm, rng)
-
-
-def _fruit_skin(fruit: OrganModel) -> FruitSkin:
-    """Ribs and warts of a kind of fruit."""
-    assert isinstance(fruit, Fruit)
-    return FruitSkin(**{field.name: getattr(fruit, field.name) for field in fields(FruitSkin)})
 
 
 def _size_mm(cultivar: Cultivar, kind: str, form: OrganForm) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Final
 
 import numpy as np
@@ -18,15 +19,17 @@ _JITTER: Final = 0.32
 centres within the rows and columns that `random_cells` searches."""
 
 
+def named_generator(seed: int, name: str) -> np.random.Generator:
+    """Generator that depends on a seed and a name alone."""
+    words = np.frombuffer(sha256(name.encode()).digest(), dtype="<u4").tolist()
+    return np.random.default_rng([seed, *words])
+
+
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma: tuple[float, float]) -> FloatArray:
     """White noise under a Gaussian filter, `(h, w)`, mean 0, variance 1, periodic in both directions.
 
-    It is 0 everywhere if the filter is so wide that nothing is left.
-
-    Args:
-        rng: source of the white noise.
-        shape: rows and columns.
-        sigma: standard deviation of the filter, in rows and in columns.
+    It is 0 everywhere if the filter is so wide that nothing is left. `sigma` is the standard deviation of the
+    filter, in rows and in columns.
     """
     # A Gaussian of width sigma has the transfer function exp(-2 (pi f sigma)^2).
     along_rows = np.exp(-2.0 * (np.pi * np.fft.fftfreq(shape[0]) * sigma[0]) ** 2)
@@ -44,13 +47,9 @@ def noise_mm(
     size_mm: tuple[float, float],
     sigma_mm: tuple[float, float],
 ) -> FloatArray:
-    """Smooth noise over uv with its grain in millimetres.
+    """Smooth noise over uv, rows along v and columns along u, with its grain in millimetres.
 
-    Args:
-        rng: source of the white noise.
-        shape: rows (along v) and columns (along u).
-        size_mm: extent of u and of v.
-        sigma_mm: standard deviation of the filter along u and along v.
+    `size_mm` is the extent, `sigma_mm` the standard deviation of the filter, along u and along v.
     """
     rows, columns = shape
     return smooth_noise(rng, shape, (sigma_mm[1] / size_mm[1] * rows, sigma_mm[0] / size_mm[0] * columns))
@@ -61,12 +60,8 @@ def random_cells(rng: np.random.Generator, pixels: int, spacing: float) -> Float
 
     The cells are Voronoi cells of a jittered triangular grid. The distance from the wall is approximated by
     half the difference between the distances to the second nearest and the nearest centre (Worley 1996,
-    SIGGRAPH: F2 - F1), which is exact on the line between the two.
-
-    Args:
-        rng: jitters the centres.
-        pixels: n.
-        spacing: distance between centres before the jitter, in pixels; adjusted to fit the period.
+    SIGGRAPH: F2 - F1), which is exact on the line between the two. `spacing` is the distance between centres
+    before the jitter, in pixels; it is adjusted to fit the period.
     """
     columns = max(round(pixels / spacing), 3)
     rows = 2 * max(round(pixels / (spacing * np.sqrt(3.0))), 2)  # even, since odd rows are shifted
@@ -92,6 +87,17 @@ def random_cells(rng: np.random.Generator, pixels: int, spacing: float) -> Float
             nearest = np.minimum(nearest, squared)
     nearest, second = np.sqrt(nearest), np.sqrt(second)
     return np.stack([nearest, 0.5 * (second - nearest)], axis=-1)
+
+
+def scatter_discs(
+    rng: np.random.Generator, pixels: int, pixel_mm: float, per_cm2: float, radius_mm: tuple[float, float]
+) -> FloatArray:
+    """`(k, 5)` discs for `stamp_discs` at random places of a square field, from least to greatest radius."""
+    count = round(per_cm2 * (0.1 * pixels * pixel_mm) ** 2)
+    low, high = (radius / pixel_mm for radius in radius_mm)
+    # Small ones are more frequent: uniform in the logarithm.
+    radii = low * (high / low) ** rng.random(count)
+    return np.stack([*rng.uniform(0.0, pixels, (2, count)), radii, *rng.random((2, count))], axis=1)
 
 
 def stamp_discs(

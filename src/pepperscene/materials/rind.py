@@ -18,7 +18,7 @@ from pepperscene.materials.rind_textures import (
     green_textures,
     uncorrelated,
 )
-from pepperscene.materials.surface import Surface, refine_states, rind_contents
+from pepperscene.materials.surface import Surface, opaque_surface, refine_states, rind_contents
 from pepperscene.spectra import (
     Spectrum,
     absorption_coefficients,
@@ -91,20 +91,15 @@ def rind_reflectance(path: PigmentPath, wavelength_nm: FloatArray, states: Array
 
 
 def _rind_surface(
-    name: str,
-    path: PigmentPath,
-    wavelength_nm: FloatArray,
-    pattern: FloatArray,
-    relief_mm: FloatArray,
+    name: str, path: PigmentPath, wavelength_nm: FloatArray, pattern: FloatArray, relief_mm: FloatArray
 ) -> Surface:
-    """Opaque surface of rind on flesh, equal on both sides, with textures `(t, h, w)`."""
+    """Surface of rind on flesh, with textures `(t, h, w)`."""
     states = refine_states(lambda nm, states: rind_reflectance(path, nm, states))
     rows = rind_reflectance(path, wavelength_nm, states)
-    return Surface(
+    return opaque_surface(
         name,
         wavelength_nm,
-        np.repeat(rows[:, None, :], 2, axis=1),
-        np.zeros_like(rows),
+        rows,
         ior=path.ior,
         roughness=path.roughness,
         pattern=pattern.astype(np.float32),
@@ -124,20 +119,11 @@ def fruit_surface(
 ) -> Surface:
     """Fruit that ripens in patches, in addition to the ripeness that the mesh gives each of its points.
 
-    Its skin is slightly wavy. Cork (russet around the calyx, the scar of the style, healed scratches) and
-    dried spray are its residue.
-
-    Args:
-        name: of the surface.
-        path: pigments from unripe (state 0) over breaker to ripe (state 1).
-        wavelength_nm: `(n,)`.
-        size_mm: girth and length.
-        calyx_mm: radius of the calyx.
-        skin: ribs and warts.
-        rng: draws the textures.
+    The path's pigments go from unripe (state 0) over breaker to ripe (state 1), `size_mm` are girth and
+    length. The skin is slightly wavy. Cork (russet around the calyx, the scar of the style, healed scratches)
+    and dried spray are its residue.
     """
-    textures = fruit_textures(size_mm, calyx_mm, rng)
-    textures = add_skin(textures, size_mm, skin, rng)
+    textures = add_skin(fruit_textures(size_mm, calyx_mm, rng), size_mm, skin, rng)
     surface = _rind_surface(name, path, wavelength_nm, textures.pattern, textures.relief_mm)
     mean = textures.cover.mean(axis=(1, 2), keepdims=True)
     return replace(
@@ -158,13 +144,8 @@ def green_surface(
 ) -> Surface:
     """Stem, petiole, peduncle or calyx: a green rind on pale parenchyma, with streaks and ribs along it.
 
-    Args:
-        name: of the surface.
-        form: of the organs, which determines the texture.
-        path: pigments from pale or corky (state 0) to dark green (state 1).
-        wavelength_nm: `(n,)`.
-        size_mm: girth and length.
-        rng: draws the textures.
+    The path's pigments go from pale or corky (state 0) to dark green (state 1), `size_mm` are girth and
+    length. The form of the organs determines the texture.
     """
     return _rind_surface(name, path, wavelength_nm, *green_textures(form, size_mm, rng))
 
@@ -187,8 +168,7 @@ def cut_surface(stem: PigmentPath, wavelength_nm: FloatArray, rng: np.random.Gen
     rows = np.stack([0.5 * (straw + chip), pith, green, 0.5 * (bark + green)])
     fields = [noise_mm(rng, CUT_SHAPE, (10.0, 10.0), (0.4, 0.4)) for _ in range(CUT_TEXTURES)]
     speckle = 0.05 * uncorrelated(np.stack(fields))
-    both = np.repeat(rows[:, None, :], 2, axis=1)
-    return Surface("cut", wavelength_nm, both, np.zeros_like(rows), pattern=speckle.astype(np.float32))
+    return opaque_surface("cut", wavelength_nm, rows, pattern=speckle.astype(np.float32))
 
 
 def _dry_material(visible_column: str, infrared_column: str) -> Spectrum:

@@ -144,13 +144,7 @@ class FruitTextures:
 
 
 def fruit_textures(size_mm: tuple[float, float], calyx_mm: float, rng: np.random.Generator) -> FruitTextures:
-    """Draw the textures of fruit.
-
-    Args:
-        size_mm: girth and height of the mean fruit.
-        calyx_mm: radius of its calyx.
-        rng: draws patches, waviness, russet and scratches.
-    """
+    """Draw the textures of fruit, of which the mean has this girth and height, and radius of its calyx."""
     body = FruitBody.of(*size_mm)
     speckle = body.noise(rng, SPECKLE_MM)
     pattern = PATCHES * body.noise(rng, PATCH_MM) + SPECKLE * speckle
@@ -227,11 +221,7 @@ def add_skin(
 ) -> FruitTextures:
     """Add ribs and warts to the relief of fruit, and pale streaks on the ribs to their pattern.
 
-    Args:
-        textures: of the fruit.
-        size_mm: girth and height of the mean fruit.
-        skin: numbers and sizes of ribs and warts.
-        rng: draws the course of ribs, and the places and sizes of warts.
+    `size_mm` are girth and height of the mean fruit.
     """
     if skin.ribs == 0 and skin.warts_per_cm2 == 0.0:
         return textures
@@ -310,15 +300,10 @@ CALYX_RIM_V: Final = 0.69
 def green_textures(
     form: OrganForm, size_mm: tuple[float, float], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw the textures of a stem, a stalk or a calyx.
+    """Textures of a stem, a stalk or a calyx: differences of the state, and heights in millimetres.
 
-    Args:
-        form: one of `TEXTURES`; all others look like a stem.
-        size_mm: girth and length.
-        rng: draws streaks, flecks, ribs and fissures.
-
-    Returns:
-        Differences of the state and heights in millimetres, `(GREEN_TEXTURES, h, w)` each.
+    Both are `(GREEN_TEXTURES, h, w)`. Forms that `TEXTURES` does not have look like a stem. `size_mm` are
+    girth and length.
     """
     texture, girth = TEXTURES.get(form, STEM_TEXTURE), size_mm[0]
 

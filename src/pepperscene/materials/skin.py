@@ -7,7 +7,6 @@ that are part of those that its roughness stands for. The means are those of a s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 
@@ -15,7 +14,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pepperscene.document import Document, read_toml, validate
-from pepperscene.materials.patterns import Float32Array, random_cells, smooth_noise, stamp_discs
+from pepperscene.materials.patterns import (
+    Float32Array,
+    named_generator,
+    random_cells,
+    scatter_discs,
+    smooth_noise,
+    stamp_discs,
+)
 from pepperscene.spectra.files import SourcedDocument, find_material
 from pepperscene.spectra.spectrum import FloatArray
 
@@ -117,8 +123,7 @@ def skin_tile(table: SkinTable, name: str, roughness: float) -> SkinTile:
         roughness: GGX alpha of its narrowest lobe, which stands for slopes of variance alpha^2 / 2 along each
             axis (LEADR mapping, Dupuy et al. 2013); the relief has half of it at most.
     """
-    words = np.frombuffer(sha256(name.encode()).digest(), dtype="<u4").tolist()
-    rng = np.random.default_rng([_SEED, *words])
+    rng = named_generator(_SEED, name)
     change = table.speckle * _noise(table.grain_mm, rng)
     wall_mm = TEXEL_MM * random_cells(rng, TILE, table.cell_mm / TEXEL_MM)[..., 1]
     change += table.walls * np.exp(-((wall_mm / (_WALL * table.cell_mm)) ** 2))
@@ -147,10 +152,7 @@ def _noise(width_mm: float, rng: np.random.Generator) -> FloatArray:
 def _discs(per_cm2: float, diameter_mm: tuple[float, float], rng: np.random.Generator) -> FloatArray:
     """`(TILE, TILE)` 1 in the middle of uneven, soft discs at random places, 0 outside."""
     field = np.zeros((TILE, TILE), np.float32)
-    count = round(per_cm2 * (0.1 * TILE * TEXEL_MM) ** 2)
-    low, high = (0.5 * diameter / TEXEL_MM for diameter in diameter_mm)
-    # Small ones are more frequent: uniform in the logarithm.
-    radii = low * (high / low) ** rng.random(count)
-    discs = np.stack([*rng.uniform(0.0, TILE, (2, count)), radii, *rng.random((2, count))], axis=1)
+    least, greatest = diameter_mm
+    discs = scatter_discs(rng, TILE, TEXEL_MM, per_cm2, (0.5 * least, 0.5 * greatest))
     stamp_discs(field, discs, 1.5, lambda r, amount: (0.5 + 0.5 * amount) * np.exp(-(r**4)), np.maximum)
     return field.astype(float)

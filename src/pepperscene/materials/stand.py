@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pepperscene.errors import InputError
-from pepperscene.materials.surface import Surface
+from pepperscene.materials.surface import Surface, opaque_surface
 from pepperscene.spectra import read_spectra, read_spectrum
 from pepperscene.spectra.files import spectra_file
 from pepperscene.spectra.measured import read_measured
@@ -70,16 +71,17 @@ def stand_surfaces(
     """
     nm = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
     chart = np.stack([spectrum.at(nm) for spectrum in read_spectra(CHART, outside="hold").values()])
+    rows = {
+        "pot": colour_reflectance(pot, nm)[None],
+        "backdrop": colour_reflectance(backdrop, nm)[None],
+        "turntable": colour_reflectance("grey", nm)[None],
+        "substrate": np.stack([_interpolate(curve, nm) for curve in SUBSTRATE]),
+        "stake": read_spectrum(*_BAMBOO, outside="hold").at(nm)[None],
+        "chart": chart,
+    }
+    surfaces = {name: opaque_surface(name, nm, reflectance) for name, reflectance in rows.items()}
     ior = 1.5 if pot in _GLOSSY else 1.0
-    surfaces = (
-        _surface("pot", nm, colour_reflectance(pot, nm), ior=ior, roughness=0.25),
-        _surface("backdrop", nm, colour_reflectance(backdrop, nm)),
-        _surface("turntable", nm, colour_reflectance("grey", nm)),
-        _surface("substrate", nm, *(_interpolate(curve, nm) for curve in SUBSTRATE)),
-        _surface("stake", nm, read_spectrum(*_BAMBOO, outside="hold").at(nm)),
-        _surface("chart", nm, *chart),
-    )
-    return {surface.name: surface for surface in surfaces}
+    return surfaces | {"pot": replace(surfaces["pot"], ior=ior, roughness=(0.25, 0.25))}
 
 
 def colour_reflectance(colour: str, nm: FloatArray) -> FloatArray:
@@ -98,11 +100,3 @@ def colour_reflectance(colour: str, nm: FloatArray) -> FloatArray:
 def _interpolate(curve: tuple[tuple[float, float], ...], nm: FloatArray) -> FloatArray:
     knots = np.array(curve)
     return np.interp(nm, knots[:, 0], knots[:, 1])
-
-
-def _surface(
-    name: str, nm: FloatArray, *rows: FloatArray, ior: float = 1.0, roughness: float = 0.3
-) -> Surface:
-    """An opaque surface with the same spectra on both sides, one row for each state."""
-    both = np.repeat(np.stack(rows)[:, None], 2, axis=1)
-    return Surface(name, nm, both, np.zeros((len(rows), nm.size)), ior=ior, roughness=(roughness, roughness))

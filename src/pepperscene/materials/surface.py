@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,10 +116,14 @@ class Surface:
         return {name: images for name in names if (images := getattr(self, name)) is not None}
 
 
+def opaque_surface(name: str, nm: FloatArray, rows: FloatArray, **fields: Any) -> Surface:
+    """Opaque surface with the same spectra `(s, n)` on both sides, one row for each state."""
+    return Surface(name, nm, np.repeat(rows[:, None], 2, axis=1), np.zeros_like(rows), **fields)
+
+
 def lambertian_surface(name: str, reflectance: float) -> Surface:
     """Ideal matt, opaque, grey surface, for test patches and reference cards."""
-    nm = np.array([300.0, 1100.0])
-    return Surface(name, nm, np.full((1, 2, 2), float(reflectance)), np.zeros((1, 2)))
+    return opaque_surface(name, np.array([300.0, 1100.0]), np.full((1, 2), float(reflectance)))
 
 
 TOLERANCE: Final = 0.002

@@ -30,12 +30,8 @@ def tissue_states(
 ) -> FloatArray:
     """`(n,)` pigment states of tissue, as the renderer looks them up: with the pattern, and aged.
 
-    Args:
-        surface: of all points.
-        state: `(n,)` in [0, 1], of the vertices.
-        uv: `(n, 2)` surface coordinates.
-        variant: `(n,)` of the organs' appearance, which chooses the texture.
-        ageing: `(n,)` of the organs.
+    States `(n,)` and surface coordinates `(n, 2)` are those of points, variant (which chooses the texture)
+    and ageing `(n,)` those of the organs.
     """
     texels = SurfaceTexels.of(surface, uv, variant)
     if surface.pattern is not None:

@@ -77,14 +77,9 @@ class BladeGrid:
         pixels: int = PIXELS,
         palmate: bool = False,
     ) -> BladeGrid:
-        """Lay out the pixels of a blade of this width and length, and its mean outline.
+        """Lay out the pixels of a blade of this width and length, and its mean outline (see `outline_reach`).
 
-        Args:
-            size_mm: width and length.
-            widest: position where it is widest, as a fraction of the length.
-            base: power of the outline at the base, see `outline_reach`.
-            pixels: of the longer side.
-            palmate: whether the lowest lateral veins are main veins.
+        `pixels` are those of the longer side; in a palmate blade the lowest lateral veins are main veins.
         """
         pixel_mm = max(size_mm) / pixels
         columns, rows = (max(round(extent / pixel_mm), 2) for extent in size_mm)
@@ -165,11 +160,6 @@ def grow_veins(grid: BladeGrid, tile: FieldTile, rng: np.random.Generator) -> Ve
     has one s, in closed form, and is on a vein where s is the origin of one. Blades of other shapes stretch
     the same layout, so that meshes of any blade can compute from uv where its veins are. Beyond
     `LOOP_START` of the half-width each vein bends to the next one and joins it (brochidodromous venation).
-
-    Args:
-        grid: pixels over the blade.
-        tile: with noise of `RIPPLE_MM`.
-        rng: draws origins, displacements and crops.
     """
     width, length = grid.size_mm
     ripple = tile.noise[RIPPLE_MM]

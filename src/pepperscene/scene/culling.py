@@ -57,15 +57,9 @@ class LightReach:
 
 
 def light_reach(camera: Camera, distance_m: float, sky_lx: float, sun_lx: float = 0.0) -> LightReach:
-    """Compare daylight and stray flash light with the light at the path's distance.
+    """Compare daylight and stray flash light with the light at the path's distance; see `LightReach`.
 
     A flash specified in W m-2 cannot be compared with lux: daylight then counts in full, as without a flash.
-
-    Args:
-        camera: flash and field of view.
-        distance_m: distance from the path to its subject.
-        sky_lx: skylight on an unobstructed level plane.
-        sun_lx: sunlight on a plane that faces the sun.
     """
     flash, (top, bottom, left, right) = camera.flash, camera.border_slopes()
     if flash is None:
@@ -204,12 +198,8 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
     """Simplify what no view can show, or leave it out where it is negligible.
 
     Instances keep their numbers. Triangles that a view can show, or that can be between what is visible and
-    the camera or its flash, stay the same and in the same order.
-
-    Args:
-        mesh: everything placed; the faces of an instance are consecutive.
-        frustums: all views of the scene.
-        light: how much light invisible objects can shadow or scatter.
+    the camera or its flash, stay the same and in the same order. The faces of an instance must be
+    consecutive.
     """
     chunks = mesh_chunks(mesh)
     # A plant that is grown in full stays whole, so that the truth of its fruit does.
@@ -236,9 +226,7 @@ def cull_mesh(mesh: Mesh, frustums: ViewFrustums, light: LightReach) -> Mesh:
     return join_triangles([remaining, *simple]).taken_from(mesh)
 
 
-_POSE_STRIDE: Final = (
-    16  # chosen: every 16th pose sees most of what is visible; the others are tested for the rest
-)
+_POSE_STRIDE: Final = 16  # chosen: every 16th pose sees most of what is visible; others only the rest
 _PRODUCT_SIZE: Final = 1 << 17
 """Multiplications in one matrix product. Chosen: OpenBLAS distributes larger ones, from 2^18 on, over
 threads, which costs more than it gains when the cores have other work."""
@@ -305,11 +293,8 @@ def view_frustums(camera: Camera, poses: ArrayLike) -> ViewFrustums:
 
     Lens distortion may bend the image border: the half-spaces use its largest slopes. They also contain the
     entrance pupil, where camera rays start, and the flash, where shadow rays end, and so everything that can
-    occlude or shadow what is visible.
-
-    Args:
-        camera: lens, sensor, focus and flash; its own pose is not used.
-        poses: `(p, 4, 4)` camera to world.
+    occlude or shadow what is visible. The poses are `(p, 4, 4)` camera to world; the camera's own is not
+    used.
     """
     pose = as_poses(poses)
     inward, margin = view_sides(camera)

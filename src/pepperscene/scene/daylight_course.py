@@ -92,12 +92,7 @@ def sun_position(when: datetime, latitude_rad: float, longitude_rad: float) -> t
     """Elevation of the sun's centre, without refraction, and azimuth clockwise from north, radians.
 
     The approximation of the Astronomical Almanac, within 0.01 degrees from 1950 to 2050 (Michalsky 1988,
-    Solar Energy 40:227).
-
-    Args:
-        when: with a time zone.
-        latitude_rad: north of the equator.
-        longitude_rad: east of Greenwich.
+    Solar Energy 40:227). The time has a time zone; longitudes are positive east of Greenwich.
     """
     days = (when - datetime(2000, 1, 1, 12, tzinfo=UTC)) / timedelta(days=1)
     mean_longitude = math.radians(280.460 + 0.9856474 * days)

@@ -7,7 +7,7 @@ from near have full meshes in the same places instead, with an instance for each
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Final
@@ -66,38 +66,28 @@ class FarRow:
 
     Attributes:
         number: of the row, 0-based.
-        first_plant: number of its first plant in the scene; they ascend along the row.
+        plants: `(n,)` numbers of the plants in the scene; they ascend along the row.
         choice: `(n,)` the model of each plant.
         turns: `(n,)` radians about the vertical, counter-clockwise seen from above.
         bases: `(n, 3)` positions of the stem bases, metres.
     """
 
     number: int
-    first_plant: int
+    plants: NDArray[np.intp]
     choice: NDArray[np.intp]
     turns: NDArray[np.float64]
     bases: NDArray[np.float64]
 
-    @property
-    def plants(self) -> NDArray[np.intp]:
-        """`(n,)` numbers of its plants in the scene."""
-        return self.first_plant + np.arange(len(self.choice))
-
-    @property
-    def rotations(self) -> NDArray[np.float64]:
-        """`(n, 3, 3)` the turns as matrices."""
-        return np.stack([rotation_about_z(turn) for turn in self.turns])
-
-
-@dataclass(frozen=True, eq=False)
-class _Plants:
-    """Some plants of a far row."""
-
-    number: int  # of the row
-    plants: NDArray[np.intp]  # `(n,)` numbers in the scene
-    choice: NDArray[np.intp]  # `(n,)` the model of each
-    rotations: NDArray[np.float64]  # `(n, 3, 3)`
-    bases: NDArray[np.float64]  # `(n, 3)` metres
+    def without(self, plants: Container[int]) -> FarRow:
+        """The row without some plants."""
+        kept = [at for at, plant in enumerate(self.plants.tolist()) if plant not in plants]
+        return replace(
+            self,
+            plants=self.plants[kept],
+            choice=self.choice[kept],
+            turns=self.turns[kept],
+            bases=self.bases[kept],
+        )
 
 
 def coarsen_plant(mesh: Mesh) -> Mesh:
@@ -122,14 +112,8 @@ def draw_far_rows(
 ) -> list[FarRow]:
     """Draw the plants of the neighbouring double rows, and of the labelled rows' continuation to either side.
 
-    Args:
-        models: number of different plants.
-        row: the labelled double row; its positions stay free, and plants are numbered after its own.
-        greenhouse: number, spacing and length of the rows.
-        rng: draws plants, turns and positions.
-
-    Returns:
-        Rows with at least one plant.
+    `models` is the number of different plants. Positions of the labelled double row stay free, and plants are
+    numbered after its own. Rows without plants are left out.
     """
     rows: list[FarRow] = []
     first_plant = row.plants_front + row.plants_back
@@ -141,7 +125,8 @@ def draw_far_rows(
         facing = 0.0 if line.aisle < 0 else np.pi
         turns = facing + rng.uniform(-_MAX_TURN, _MAX_TURN, x.size)
         bases = np.column_stack([x, np.full((x.size, 2), (line.y_m, greenhouse.stem_base_m))])
-        rows.append(FarRow(len(rows), first_plant, choice, turns, bases))
+        plants = first_plant + np.arange(x.size)
+        rows.append(FarRow(len(rows), plants, choice, turns, bases))
         first_plant += x.size
     return rows
 
@@ -170,7 +155,7 @@ def far_row_meshes(
         plants are one instance "far_row" of `IGNORE_CLASS` or of the background, and so are all full ones.
     """
     full = {} if full is None else full
-    coarse = [_some_plants(row, ~np.isin(row.plants, list(full))) for row in rows]
+    coarse = [row.without(full) for row in rows]
     in_full = [_full_row(row, full, labelled_as) for row in rows]
     if labelled_as != FarRowsAs.LABELS:
         rough = [_unlabelled_row(models, drawn, labelled_as) for drawn in coarse]
@@ -191,13 +176,12 @@ def coarse_plant_faces(
     faces: dict[int, range] = {}
     first = 0
     for row in rows:
-        coarse = _some_plants(row, ~np.isin(row.plants, list(full)))
-        if coarse is not None:
-            # As `_row_mesh` places them.
-            for at in np.argsort(coarse.choice, kind="stable"):
-                count = len(models[coarse.choice[at]].faces)
-                faces[int(coarse.plants[at])] = range(first, first + count)
-                first += count
+        coarse = row.without(full)
+        # As `_row_mesh` places them.
+        for at in np.argsort(coarse.choice, kind="stable"):
+            count = len(models[coarse.choice[at]].faces)
+            faces[int(coarse.plants[at])] = range(first, first + count)
+            first += count
         first += sum(len(full[plant].faces) for plant in row.plants.tolist() if plant in full)
     return faces
 
@@ -232,14 +216,6 @@ def _free_positions(
     return x[np.abs(x) <= greenhouse.far_reach_m]
 
 
-def _some_plants(row: FarRow, chosen: NDArray[np.bool_]) -> _Plants | None:
-    """Some plants of a row, or None if there are none."""
-    if not chosen.any():
-        return None
-    rows = np.flatnonzero(chosen)
-    return _Plants(row.number, row.plants[rows], row.choice[rows], row.rotations[rows], row.bases[rows])
-
-
 def _full_row(row: FarRow, full: Mapping[int, Mesh], labelled_as: FarRowsAs) -> Mesh | None:
     """The plants of a row that are grown in full, or None if there are none."""
     parts: list[Mesh] = []
@@ -264,25 +240,25 @@ def _one_instance(mesh: Mesh, row: int, labelled_as: FarRowsAs) -> Mesh:
     return replace(mesh, instances=(replace(instance, full=full),))
 
 
-def _unlabelled_row(models: Sequence[Mesh], row: _Plants | None, labelled_as: FarRowsAs) -> Mesh | None:
-    """Coarse plants of a row as a single instance."""
-    if row is None:
+def _unlabelled_row(models: Sequence[Mesh], row: FarRow, labelled_as: FarRowsAs) -> Mesh | None:
+    """Coarse plants of a row as a single instance, or None if there are none."""
+    if not row.plants.size:
         return None
     mesh = _row_mesh([as_single_instance(model, FAR_ROW) for model in models], row)
     return _one_instance(mesh, row.number, labelled_as)
 
 
-def _labelled_rows(models: Sequence[Mesh], rows: Sequence[_Plants | None], others: int) -> list[Mesh | None]:
+def _labelled_rows(models: Sequence[Mesh], rows: Sequence[FarRow], others: int) -> list[Mesh | None]:
     """Coarse plants of rows with their organs as instances, as far as there are numbers for them."""
     grouped = {detail: [_group_organs(model, detail) for model in models] for detail in FarDetail}
-    choices = [number for row in rows if row is not None for number in row.choice.tolist()]
-    counts = np.bincount(np.array(choices, np.intp), minlength=len(models))
+    none = np.zeros(len(models), np.intp)
+    counts = sum((np.bincount(row.choice, minlength=len(models)) for row in rows), none)
     sizes = {detail: [len(model.instances) for model in grouped[detail]] for detail in FarDetail}
     detail = far_detail(sizes, counts, others)
-    return [None if row is None else _labelled_row(grouped[detail], row, detail) for row in rows]
+    return [_labelled_row(grouped[detail], row, detail) if row.plants.size else None for row in rows]
 
 
-def _labelled_row(models: Sequence[Mesh], row: _Plants, detail: FarDetail) -> Mesh:
+def _labelled_row(models: Sequence[Mesh], row: FarRow, detail: FarDetail) -> Mesh:
     """A row with the instances of its plants, whose numbers ascend along the row."""
     mesh = _row_mesh(models, row)
     if detail == FarDetail.ROWS:
@@ -295,13 +271,14 @@ def _labelled_row(models: Sequence[Mesh], row: _Plants, detail: FarDetail) -> Me
     return mesh
 
 
-def _row_mesh(models: Sequence[Mesh], row: _Plants) -> Mesh:
+def _row_mesh(models: Sequence[Mesh], row: FarRow) -> Mesh:
     """The coarse plants of a row; those of one model are placed together."""
     parts: list[Mesh] = []
     instances: list[Instance] = []
     for number in np.unique(row.choice):
         model, members = models[number], np.flatnonzero(row.choice == number)
-        parts.append(_repeated_plant(model, row.rotations[members], row.bases[members]))
+        rotations = np.stack([rotation_about_z(turn) for turn in row.turns[members]])
+        parts.append(_repeated_plant(model, rotations, row.bases[members]))
         for plant in row.plants[members].tolist():
             first = len(instances)
             instances += [

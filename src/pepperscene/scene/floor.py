@@ -61,14 +61,10 @@ def reflected_radiance(
     diffuse: FloatArray,
     beam: FloatArray | float = 0.0,
 ) -> FloatArray:
-    """Radiance `(n,)` of a floor of white film below a crop, W m-2 sr-1 nm-1.
+    """Radiance `(n,)` of a floor of white film below a crop, W m-2 sr-1 nm-1; see `transmitted_daylight`.
 
-    Args:
-        wavelength_nm: `(n,)`.
-        leaf_area_index: as in `transmitted_daylight`.
-        sun_elevation_rad: likewise.
-        diffuse: `(n,)` irradiance of a level plane above the crop by scattered light, W m-2 nm-1.
-        beam: `(n,)` likewise, by the sun's disc.
+    `diffuse` and `beam` are the irradiance `(n,)` of a level plane above the crop by scattered light and by
+    the sun's disc, W m-2 nm-1.
     """
     skylight, sunlight = transmitted_daylight(leaf_area_index, sun_elevation_rad)
     received = diffuse * skylight.at(wavelength_nm) + beam * sunlight.at(wavelength_nm)
@@ -76,13 +72,7 @@ def reflected_radiance(
 
 
 def leaf_area_index(plants: Sequence[Mesh], row: DoubleRow, greenhouse: Greenhouse) -> float:
-    """One-sided leaf area over floor area of double rows of these plants, at most `MAX_LEAF_AREA_INDEX`.
-
-    Args:
-        plants: of a double row, each in its own coordinates.
-        row: their distances.
-        greenhouse: its aisles.
-    """
+    """One-sided leaf area over floor area of double rows of these plants, at most `MAX_LEAF_AREA_INDEX`."""
     area = sum(_leaf_area(plant) for plant in plants)
     return min(area / ground_area(len(plants), row, greenhouse), MAX_LEAF_AREA_INDEX)
 

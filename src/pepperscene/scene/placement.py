@@ -65,17 +65,13 @@ class Skeleton:
         Raises:
             ValueError: the instance is not an organ of the plants.
         """
-        number = self.plant_index(instance)
-        index = instance - self._first_instances[number]
-        organs, first = self.plants[number].organs, self._first_instances[number]
-        organ = organs[index]
+        number, index = self._organ_index(instance)
+        organ, first = self.plants[number].organs[index], self._first_instances[number]
         # Place the plant.
         rotation = rotation_about_z(float(self.turns[number]))
         curve, up = organ.curve @ rotation.T + self.bases[number], rotation @ organ.up
         # Apply the motions of the organ and of all organs that it grows on, in their order.
-        lineage = {instance}
-        while (index := organs[index].parent) >= 0:
-            lineage.add(first + index)
+        lineage = self._lineage(instance)
         for motion in sorted(order for member in lineage for order in self._motions_of.get(member, ())):
             rotation, pivot = self.motions[motion].rotation, self.motions[motion].pivot
             curve = (curve - pivot) @ rotation.T + pivot
@@ -98,15 +94,12 @@ class Skeleton:
 
     def plant_index(self, instance: int) -> int:
         """The position in `plants` of an organ's plant; raises `ValueError` as `organ` does."""
-        location = self._locate(instance)
-        if location is None:
-            raise ValueError(f"instance {instance} is not an organ of a plant")
-        return location[0]
+        return self._organ_index(instance)[0]
 
     def measures(self, instance: int) -> Mapping[str, float]:
         """The measures of an organ, as `Organ.measures`; raises `ValueError` as `organ` does."""
-        number = self.plant_index(instance)
-        return self.plants[number].organs[instance - self._first_instances[number]].measures
+        number, index = self._organ_index(instance)
+        return self.plants[number].organs[index].measures
 
     def instances(self) -> tuple[int, ...]:
         """All instances of the plants, with their twine, ascending."""
@@ -139,6 +132,20 @@ class Skeleton:
         index = instance - self._first_instances[number]
         return (number, index) if index < len(self.plants[number].organs) else None
 
+    def _organ_index(self, instance: int) -> tuple[int, int]:
+        """As `_locate`; raises `ValueError` if the instance is not an organ of the plants."""
+        if (location := self._locate(instance)) is None:
+            raise ValueError(f"instance {instance} is not an organ of a plant")
+        return location
+
+    def _lineage(self, instance: int) -> set[int]:
+        """The instances of an organ and of all organs that it grows on."""
+        number, index = self._organ_index(instance)
+        lineage = {instance}
+        while (index := self.plants[number].organs[index].parent) >= 0:
+            lineage.add(self._first_instances[number] + index)
+        return lineage
+
     def check_mesh(self, mesh: Mesh) -> None:
         """Raise `ArgumentError` if triangles were moved since the scene was assembled; some may be missing.
 
@@ -164,10 +171,7 @@ class Skeleton:
 
     def edit(self, instance: int) -> NDArray[np.float64]:
         """`(4, 4)` motion of all edits that moved an organ; raises `ValueError` as `organ` does."""
-        number, motion = self.plant_index(instance), np.eye(4)
-        first, lineage = self._first_instances[number], {instance}
-        while (parent := self.plants[number].organs[min(lineage) - first].parent) >= 0:
-            lineage.add(first + parent)
+        lineage, motion = self._lineage(instance), np.eye(4)
         for moved, edit in self.edits:
             if moved in lineage:
                 motion = edit @ motion

@@ -27,6 +27,8 @@ from pepperscene.spectra import (
 )
 from pepperscene.units import DEGREES, NONE, Fraction, Name, Table, ZeroOrAtLeast, within
 
+Floats = NDArray[np.float64]
+
 SUN_ANGULAR_RADIUS: Final = 0.004654
 """Radians; the solar radius of 695,700 km at one astronomical unit (IAU 2015 resolution B3)."""
 
@@ -82,7 +84,7 @@ class Sun:
         angular_radius: radians.
     """
 
-    direction: NDArray[np.float64]
+    direction: Floats
     irradiance: Spectrum
     angular_radius: float = SUN_ANGULAR_RADIUS
 
@@ -112,12 +114,12 @@ class Sky:
         if not (self.weights.min() >= 0 and self.weights.max() < np.inf and self.radiance.values.min() >= 0):
             raise ValueError("a sky's weights and radiance must be finite and at least 0")
 
-    def received(self) -> NDArray[np.float64]:
+    def received(self) -> Floats:
         """`(k,)` weight of each spectrum in the irradiance of an unobstructed level plane, sr."""
         rows, columns = self.weights.shape[1:]
         return np.asarray((self.weights * _projected_solid_angles(rows, columns)).sum((1, 2)))
 
-    def received_by(self, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    def received_by(self, normal: Floats) -> Floats:
         """`(k,)` weight of each spectrum in the irradiance of a plane with a normal `(3,)`, sr."""
         rows, columns = self.weights.shape[1:]
         # Coarse maps would not resolve the plane's own horizon.
@@ -136,7 +138,7 @@ class Sky:
         return lux
 
 
-def _projected_solid_angles(rows: int, columns: int) -> NDArray[np.float64]:
+def _projected_solid_angles(rows: int, columns: int) -> Floats:
     """`(rows, 1)` projected solid angle of a texel above the horizon, 0 below."""
     cosines, solid_angles = row_geometry(rows, columns)
     return (np.maximum(cosines, 0.0) * solid_angles)[:, None]
@@ -181,7 +183,17 @@ def partly_cloudy_sky(
     Raises:
         ValueError: an argument is out of range.
     """
-    _check_arguments(illuminance_lx, sun_elevation_rad, sun_fraction, cloud_cover, leaf_area_index)
+    if not 0.0 <= illuminance_lx < np.inf:
+        raise ValueError(f"illuminance_lx must be at least 0, not {illuminance_lx}")
+    limits = (
+        ("sun_fraction", sun_fraction, MAX_SUN_FRACTION), ("cloud_cover", cloud_cover, 1.0),
+        ("leaf_area_index", leaf_area_index, MAX_LEAF_AREA_INDEX),
+    )  # fmt: skip
+    for name, value, most in limits:
+        if not 0.0 <= value <= most:
+            raise ValueError(f"{name} must be in [0, {most:g}], not {value}")
+    if sun_fraction > 0.0 and not 0.0 < sun_elevation_rad <= np.pi / 2.0:
+        raise ValueError(f"sun_elevation_rad must be in (0, pi/2] if there is a sun, not {sun_elevation_rad}")
     level = np.cos(sun_elevation_rad)
     direction = np.array(
         [level * np.cos(sun_azimuth_rad), level * np.sin(sun_azimuth_rad), np.sin(sun_elevation_rad)]
@@ -238,25 +250,6 @@ def partly_cloudy_sky(
     return Sky(maps.astype(np.float32), Spectrum(nm, radiance), sun)
 
 
-def _check_arguments(
-    illuminance_lx: float,
-    sun_elevation_rad: float,
-    sun_fraction: float,
-    cloud_cover: float,
-    leaf_area_index: float,
-) -> None:
-    if not 0.0 <= illuminance_lx < np.inf:
-        raise ValueError(f"illuminance_lx must be at least 0, not {illuminance_lx}")
-    if not 0.0 <= sun_fraction <= MAX_SUN_FRACTION:
-        raise ValueError(f"sun_fraction must be in [0, {MAX_SUN_FRACTION}], not {sun_fraction}")
-    if not 0.0 <= cloud_cover <= 1.0:
-        raise ValueError(f"cloud_cover must be in [0, 1], not {cloud_cover}")
-    if not 0.0 <= leaf_area_index <= MAX_LEAF_AREA_INDEX:
-        raise ValueError(f"leaf_area_index must be in [0, {MAX_LEAF_AREA_INDEX:g}], not {leaf_area_index}")
-    if sun_fraction > 0.0 and not 0.0 < sun_elevation_rad <= np.pi / 2.0:
-        raise ValueError(f"sun_elevation_rad must be in (0, pi/2] if there is a sun, not {sun_elevation_rad}")
-
-
 _STANDARD_SKIES: Final = {
     "overcast": (4.0, -0.70, 0.0, -1.0, 0.0),  # type 1: overcast, steep gradation
     "partly cloudy": (0.0, -1.0, 5.0, -2.5, 0.30),  # type 7: no gradation, brighter around the sun
@@ -276,8 +269,6 @@ LOWEST_SKY: Final = 0.125
 
 _WAVES: Final = 256  # chosen: enough plane waves that their sum is Gaussian and shows no pattern
 _BLOCK: Final = 1024  # chosen: points whose waves fit into a core's cache together
-
-Floats = NDArray[np.float64]
 
 
 def standard_sky(kind: str, towards: Floats, sun: Floats) -> Floats:
@@ -318,12 +309,8 @@ def partly_cloudy_weights(
 ) -> Floats:
     """`(3, rows, columns)` luminance in each spectrum of `daylight_basis`, cd/m2, of blue sky and clouds.
 
-    Args:
-        towards: `(rows, columns, 3)` directions.
-        projected: `(rows, 1)` their projected solid angles, 0 below the horizon.
-        sun_direction: `(3,)` unit vector.
-        rng: places the clouds.
-        cloud_cover: fraction of the sky that clouds hide.
+    `towards` are the directions `(rows, columns, 3)` and `projected` their projected solid angles
+    `(rows, 1)`, 0 below the horizon; the direction of the sun is a unit vector.
     """
     elevation = float(np.arcsin(np.clip(sun_direction[2], -1.0, 1.0)))
 
@@ -348,9 +335,7 @@ def partly_cloudy_weights(
     )
 
 
-def cloud_opacity(
-    towards: NDArray[np.float64], rng: np.random.Generator, cloud_cover: float
-) -> NDArray[np.float64]:
+def cloud_opacity(towards: Floats, rng: np.random.Generator, cloud_cover: float) -> Floats:
     """Opacity in [0, 1] by direction: a thresholded Gaussian random field on a plane overhead."""
     if cloud_cover <= 0.0:
         return np.zeros(towards.shape[:2])
@@ -372,9 +357,7 @@ def cloud_opacity(
     return np.where(is_sky, ramp * ramp * (3.0 - 2.0 * ramp), 0.0)
 
 
-def _sum_of_waves(
-    points: NDArray[np.float64], vectors: NDArray[np.float64], phases: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _sum_of_waves(points: Floats, vectors: Floats, phases: Floats) -> Floats:
     """Sum of plane waves of amplitude 1 / frequency at `(n, 2)` points, for `(2, w)` wave vectors.
 
     Single precision is twenty times as fast: arguments stay below 200, so a wave errs by 1e-5 at most.

@@ -41,8 +41,6 @@ _PERLITE: Final = 0.06  # chosen: fraction of grains that are perlite
 _SUBSTRATE_SEED: Final = 4001  # chosen
 _BEND: Final = 0.3  # chosen: radius of a cloth's curved lower edge over its distance from the plant, at most
 
-_Colour = Name
-
 
 class PotShape(StrEnum):
     """Cross-section of a pot, which tapers to its base."""
@@ -87,13 +85,13 @@ class Stand(Table):
     pot: PotShape = PotShape.ROUND
     pot_width_m: Annotated[float, within(50, 600), MILLIMETRES] = 0.14
     pot_height_m: Annotated[float, within(40, 600), MILLIMETRES] = 0.13
-    pot_colour: _Colour = "terracotta"
+    pot_colour: Name = "terracotta"
     tray: Switch = False
     stake_m: Annotated[float, within(0, 3000), ZeroOrAtLeast(50), MILLIMETRES] = 0.0
     turntable_m: Annotated[float, within(0, 2000), MILLIMETRES] = 0.0
     turn_rad: Annotated[float, within(-180, 180), DEGREES] = 0.0
     backdrop: Backdrop = Backdrop.NONE
-    backdrop_colour: _Colour = "white"
+    backdrop_colour: Name = "white"
     backdrop_distance_m: Annotated[float, within(200, 5000), MILLIMETRES] = 0.6
     backdrop_width_m: Annotated[float, within(200, 10_000), MILLIMETRES] = 2.0
     backdrop_height_m: Annotated[float, within(200, 5000), MILLIMETRES] = 1.6

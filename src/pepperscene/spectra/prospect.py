@@ -158,11 +158,7 @@ def layer_over_body(layer: LeafOptics, body_reflectance: ArrayLike) -> LeafOptic
     """Pigmented layer on a diffuse, opaque body, such as skin on flesh.
 
     Light that passes the layer bounces between body and layer (a geometric series):
-    R = R_layer + T T_diffuse rho / (1 - R_diffuse rho).
-
-    Args:
-        layer: the layer's optics.
-        body_reflectance: rho of the body, in [0, 1), broadcasts to `(..., n)`.
+    R = R_layer + T T_diffuse rho / (1 - R_diffuse rho). The body's rho, in [0, 1), broadcasts to `(..., n)`.
     """
     rho = np.asarray(body_reflectance, dtype=float)
     returned = layer.diffuse_transmittance * rho / (1.0 - layer.diffuse_reflectance * rho)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.tuning.bounds import Parameter
 from pepperscene.tuning.problem import FitProblem
 from pepperscene.tuning.view_model import entries_of
-
-if TYPE_CHECKING:
-    from pepperscene.tuning.bounds import Parameter
 
 Array = NDArray[np.float64]
 MIN_VARIANCE_REDUCTION: Final = 0.75  # chosen: below, half of the prior sd or more remains

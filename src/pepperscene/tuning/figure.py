@@ -17,12 +17,11 @@ from pepperscene.camera import encode_tone
 from pepperscene.camera.image.colorimetry import D65_WHITE, XYZ_TO_SRGB
 from pepperscene.colour import ColourStatistics, linear_srgb_to_lab
 from pepperscene.spectra import colour_science
+from pepperscene.tuning.least_squares import FitResult, KindFit, SpectrumFit
 from pepperscene.tuning.report import fitted_entries, format_value, format_with_sd
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
-
-    from pepperscene.tuning.least_squares import FitResult, KindFit, SpectrumFit
 
 WIDTH_IN: Final = 11.5  # chosen, as all of the layout below: 1380 pixels
 DPI: Final = 120

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.colour import delta_e_2000, linear_srgb_to_lab
+from pepperscene.tuning.bounds import Parameter
 from pepperscene.tuning.diagnostics import (
     OmittedGroup,
     chi_squared,
@@ -25,11 +26,8 @@ from pepperscene.tuning.diagnostics import (
     undetermined_entries,
 )
 from pepperscene.tuning.problem import FitProblem
-
-if TYPE_CHECKING:
-    from pepperscene.tuning.bounds import Parameter
-    from pepperscene.tuning.target import TuningTarget
-    from pepperscene.tuning.tuned import TunedParts
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
 STARTS: Final = 4  # chosen

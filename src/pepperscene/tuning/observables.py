@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera import Sensor
 from pepperscene.camera.image.colorimetry import D65_WHITE, SRGB_TO_XYZ
 from pepperscene.colour import linear_srgb_to_lab
-
-if TYPE_CHECKING:
-    from pepperscene.camera import Sensor
 
 Array = NDArray[np.float64]
 OBSERVABLE_COUNT: Final = 8
@@ -114,13 +112,8 @@ class SensorModel:
     ) -> tuple[Array, Array, Array]:
         """Pixels in linear sRGB, and the factors of their derivatives.
 
-        A change of electrons changes the pixels by `unclipped * ((slope * change) @ matrix.T)`.
-
-        Args:
-            electrons: `(n, c)` electrons that the photosites expect.
-            exposure: Factor on the sensor gain, or on the exposure time.
-            gains: `(3,)` white balance.
-            matrix: `(3, 3)` colour matrix.
+        A change of the electrons `(n, c)` that photosites expect changes the pixels by
+        `unclipped * ((slope * change) @ matrix.T)`. White balance gains are `(3,)`, the matrix is `(3, 3)`.
 
         Returns:
             Pixels `(n, 3)`; slope `(n, c)`; unclipped `(n, 3)`, 0 where the result is clipped, else 1, or

@@ -6,22 +6,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera import Camera
+from pepperscene.cultivar import Cultivar
 from pepperscene.errors import ArgumentError
+from pepperscene.recipe.recipe import Recipe
 from pepperscene.render.gradients.renderer import FLASH_WEIGHTS
 from pepperscene.render.gradients.tunable import RANGES
 from pepperscene.tuning.bounds import Group, Parameter, prior_distributions
 from pepperscene.tuning.pigment_paths import CONTENT_FIELDS, PATH_ENDS, state_distribution, visible_surfaces
 from pepperscene.tuning.tuned import OFF_DIAGONAL, colour_steps
-
-if TYPE_CHECKING:
-    from pepperscene.camera import Camera
-    from pepperscene.cultivar import Cultivar
-    from pepperscene.recipe.recipe import Recipe
 
 Array = NDArray[np.float64]
 Limits = tuple[float, float]

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import Flash, load_flash
-from pepperscene.cultivar import PigmentPath, Pigments
+from pepperscene.cultivar import Cultivar, PigmentPath, Pigments
 from pepperscene.document import read_toml
 from pepperscene.errors import InputError
 from pepperscene.materials.leaf import gloss_lobes
-from pepperscene.spectra import Spectrum, read_provenance
+from pepperscene.spectra import read_provenance
 from pepperscene.spectra.files import find_material
+from pepperscene.tuning.least_squares import FitResult
 from pepperscene.tuning.report import RunInfo, describe_colours, describe_values, toml_text
 from pepperscene.tuning.tuned import round_for_file, tuned_flash
-
-if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar
-    from pepperscene.tuning.least_squares import FitResult
 
 _TOLERANCE: Final = 1e-6
 """Chosen: largest change of a content when a knot is removed, relative to its range along the path."""
@@ -100,17 +97,13 @@ def _same_path(first: PigmentPath, second: PigmentPath) -> bool:
     a, b = (np.array(list(path.at(states).values())) for path in (first, second))
     if not np.allclose(a, b, rtol=_SAME, atol=_SAME * max(float(np.abs(a).max()), 1e-300) * 1e-3):
         return False
-    lobes = [
-        [number for side in (0, 1) for lobe in gloss_lobes(p, side) for number in lobe]
-        for p in (first, second)
-    ]
-    if len(lobes[0]) != len(lobes[1]):
-        return False
     a, b = (
-        np.array([p.flesh_reflectance or 0.0, p.ior, *numbers])
-        for p, numbers in zip((first, second), lobes, strict=True)
+        np.array(
+            [path.flesh_reflectance or 0.0, path.ior, *np.ravel([gloss_lobes(path, side) for side in (0, 1)])]
+        )
+        for path in (first, second)
     )
-    return np.allclose(a, b, rtol=_SAME, atol=0.0)
+    return a.size == b.size and np.allclose(a, b, rtol=_SAME, atol=0.0)
 
 
 def simplify_path(path: PigmentPath) -> PigmentPath:
@@ -172,9 +165,11 @@ def flash_files(name: str, fit: FitResult, run: RunInfo, stem: str) -> tuple[Fla
     sources[key] = f"{tuned}; {factors}. Before tuning: {sources[key]}"
     sources["spectrum"] = f"{tuned}; see {spectrum}.toml. Before tuning: {sources['spectrum']}"
     tables["sources"] = sources
+    rows = zip(flash.spectrum.wavelength_nm.tolist(), flash.spectrum.values.tolist(), strict=True)
     texts = {
         f"{stem}.toml": toml_text(tables, f"The flash {path.stem}, tuned to measured colour.\n{tuned}."),
-        f"{spectrum}.csv": _spectrum_csv(flash.spectrum),
+        f"{spectrum}.csv": f"wavelength_nm,{_COLUMN}\n"
+        + "".join(f"{nm:.12g},{value!r}\n" for nm, value in rows),
         f"{spectrum}.toml": toml_text(_spectrum_provenance(path, tables["licence"], tuned)),
     }
     return flash, texts
@@ -184,11 +179,6 @@ def flash_changed(fit: FitResult) -> bool:
     """Whether a fit changed the flash."""
     factors = fit.tuned_parts.flash_factors
     return abs(fit.tuned_parts.flash_power - 1.0) > 1e-12 or bool((np.abs(factors - 1.0) > 1e-12).any())
-
-
-def _spectrum_csv(spectrum: Spectrum) -> str:
-    rows = zip(spectrum.wavelength_nm.tolist(), spectrum.values.tolist(), strict=True)
-    return f"wavelength_nm,{_COLUMN}\n" + "".join(f"{nm:.12g},{value!r}\n" for nm, value in rows)
 
 
 def _spectrum_provenance(flash: Path, licence: str, tuned: str) -> dict[str, Any]:

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.cultivar import CALYX, DEFAULT_KINDS, Fruit, PigmentPath, Pigments
+from pepperscene.cultivar import CALYX, DEFAULT_KINDS, Cultivar, Distribution, Fruit, PigmentPath, Pigments
 from pepperscene.render.gradients.tunable import CONTENTS, RANGES
-
-if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar, Distribution
 
 Array = NDArray[np.float64]
 Component = tuple[float, float, float]  # weight, mean and standard deviation in a mixture
@@ -204,11 +201,8 @@ def contents_at_moved_states(knots: Array, contents: Array, moved: Array) -> Arr
 
     They are those of the moving average of the path, and so continuously differentiable. The difference to
     the path itself fades in towards `moved == knots`, where the result is exact. It is nowhere below 0.
-
-    Args:
-        knots: `(k,)` states from 0 to 1.
-        contents: `(k, c)` contents at the knots, at least 0; constant beyond the ends.
-        moved: `(k,)` state from which each knot takes its contents.
+    Knots `(k,)` are states from 0 to 1 with contents `(k, c)`, constant beyond the ends; each takes the
+    contents of its state in `moved`.
     """
     smooth = _moving_average(knots, contents, knots)
     # A ratio, because subtracting a difference could give values below 0 near the zeros of a path.

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.tuning.bounds import Parameter
 from pepperscene.tuning.observables import OBSERVABLE_COUNT, observables, observables_and_derivatives
+from pepperscene.tuning.reflectance import DirectModel
+from pepperscene.tuning.tuned import TunedParts
 from pepperscene.tuning.view_model import Entry, ParameterStep, Values, ViewModel, entries_of
-
-if TYPE_CHECKING:
-    from pepperscene.tuning.bounds import Parameter
-    from pepperscene.tuning.reflectance import DirectModel
-    from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
 _MARGIN: Final = 1e-6  # chosen: fraction of a bound's width by which starts are moved off the bounds

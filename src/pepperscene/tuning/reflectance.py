@@ -21,22 +21,20 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pepperscene.classes import OrganClass
+from pepperscene.colour import MeasuredSpectrum
+from pepperscene.cultivar import Cultivar, PigmentPath
 from pepperscene.errors import InputError
 from pepperscene.materials import leaf_body, rind_reflectance
 from pepperscene.materials.gloss import gloss_albedo
 from pepperscene.materials.leaf import gloss_lobes, mean_openness
-
-if TYPE_CHECKING:
-    from pepperscene.colour import MeasuredSpectrum
-    from pepperscene.cultivar import Cultivar, PigmentPath
-    from pepperscene.tuning.tuned import TunedParts
-    from pepperscene.tuning.view_model import Entry, Values
+from pepperscene.tuning.tuned import TunedParts
+from pepperscene.tuning.view_model import Entry, Values
 
 Array = NDArray[np.float64]
 SPHERE_RAD: Final = np.radians(8.0)  # angle of incidence in an integrating sphere (CIE 15, ISO 7724)
@@ -68,13 +66,9 @@ power) and rounding are both far below 1e-9 of the slope."""
 
 
 def instrument_reflectance(path: PigmentPath, wavelength_nm: ArrayLike, state: float, *, thin: bool) -> Array:
-    """Reflectance `(n,)` that an integrating sphere reads of the front of a surface.
+    """Reflectance `(n,)` that an integrating sphere reads of the front of a surface, 400 to 1100 nm.
 
-    Args:
-        path: Pigments, flesh and cuticle of the surface.
-        wavelength_nm: `(n,)`, 400 to 1100 nm; others raise a ValueError.
-        state: State along the path, in [0, 1].
-        thin: Whether it is a blade or petal with nothing behind it (PROSPECT's leaf), else a rind on flesh.
+    A thin one is a blade or petal with nothing behind it (PROSPECT's leaf), others are a rind on flesh.
     """
     nm, states = np.atleast_1d(np.asarray(wavelength_nm, dtype=float)), np.array([float(state)])
     if thin:

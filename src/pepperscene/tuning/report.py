@@ -8,22 +8,22 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import tomlkit
+from numpy.typing import NDArray
 from tomlkit.container import Container
 from tomlkit.items import Item, Table
 
+from pepperscene.atomic import plain_values
+from pepperscene.colour import PatchSet
 from pepperscene.colour.comparison.tables import UNKNOWN, TextTable
+from pepperscene.tuning.bounds import Parameter
+from pepperscene.tuning.least_squares import FitResult, KindFit
 from pepperscene.tuning.tuned import round_for_file
+from pepperscene.tuning.whole_scene import Agreement, Verification
 from pepperscene.version import __version__
-
-if TYPE_CHECKING:
-    from pepperscene.colour import PatchSet
-    from pepperscene.tuning.bounds import Parameter
-    from pepperscene.tuning.least_squares import FitResult, KindFit
-    from pepperscene.tuning.whole_scene import Agreement, Verification
 
 _WIDTH: Final = 116  # chosen: of comment lines
 FORMAT: Final = "pepperscene tuning 1"
@@ -62,15 +62,12 @@ def _digests(patches: PatchSet) -> Iterator[tuple[str, str]]:
     for patch in patches.patches:
         yield patch.name, _sha256(np.asarray(patch.linear, "<f8"), np.asarray(patch.codes, "u1"))
     for measurement in patches.spectra:
-        wavelength_nm, values = measurement.spectrum.wavelength_nm, measurement.spectrum.values
-        yield measurement.name, _sha256(np.asarray(wavelength_nm, "<f8"), np.asarray(values, "<f8"))
+        spectrum = measurement.spectrum
+        yield measurement.name, _sha256(*np.asarray([spectrum.wavelength_nm, spectrum.values], "<f8"))
 
 
-def _sha256(*arrays: Any) -> str:
-    digest = hashlib.sha256()
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+def _sha256(*arrays: NDArray[Any]) -> str:
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
 def fitted_entries(fit: FitResult, parameter: Parameter) -> Iterator[tuple[str, float, float, float]]:
@@ -102,8 +99,8 @@ def describe_colours(fit: FitResult) -> str:
         f"{name} RMSE {spectrum.rmse_before:.4f} before, {spectrum.rmse_after:.4f} after"
         for name, spectrum in fit.spectra.items()
     ]
-    sentences = [f"CIEDE2000 of mean colours: {'; '.join(kinds)}"] if kinds else []
-    return ". ".join([*sentences, *([f"Reflectance: {'; '.join(spectra)}"] if spectra else [])])
+    parts = {"CIEDE2000 of mean colours": kinds, "Reflectance": spectra}
+    return ". ".join(f"{name}: {'; '.join(texts)}" for name, texts in parts.items() if texts)
 
 
 def format_with_sd(value: float, sd: float) -> str:
@@ -271,7 +268,7 @@ def _format_percent(value: float) -> str:
 def fit_record(fit: FitResult, run: RunInfo, verification: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """The whole result, serialisable as JSON; numbers that are not finite become null."""
     parts = fit.tuned_parts
-    record = {
+    record: dict[str, Any] = {
         "format": FORMAT,
         "version": run.version,
         "date": run.when.isoformat(),
@@ -299,7 +296,7 @@ def fit_record(fit: FitResult, run: RunInfo, verification: Mapping[str, Any] | N
             "matrix": parts.matrix,
         },
     }
-    return {key: _json_value(value) for key, value in record.items()}
+    return {key: plain_values(value) for key, value in record.items()}
 
 
 def _parameter_record(fit: FitResult, parameter: Parameter) -> dict[str, Any]:
@@ -321,14 +318,3 @@ def _kind_record(kind_fit: KindFit) -> dict[str, Any]:
     colours = {"target": kind_fit.target, "before": kind_fit.before, "after": kind_fit.after}
     moments = {name: {"mean_lab": mean, "sd_lab": sd} for name, (mean, sd) in colours.items()}
     return {**moments, "delta_e_before": kind_fit.delta_e_before, "delta_e_after": kind_fit.delta_e_after}
-
-
-def _json_value(value: Any) -> Any:
-    """The value with Python's own types, and None for numbers that JSON cannot represent."""
-    if isinstance(value, np.ndarray | np.generic):
-        return _json_value(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): _json_value(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_json_value(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,9 @@ from pepperscene.colour.patches.patch import is_organ_kind
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.materials import organ_surfaces
 from pepperscene.recipe.camera_tables import AUTO
+from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load_camera import surface_wavelengths
+from pepperscene.render import Renderer
 from pepperscene.render.quality import Quality
 from pepperscene.tuning.bounds import Parameter
 from pepperscene.tuning.observables import observables
@@ -33,9 +35,6 @@ from pepperscene.tuning.reflectance import DirectModel
 from pepperscene.tuning.tuned import TunedParts, densify_cultivar, tuned_camera, tuned_parts
 from pepperscene.tuning.view_model import VIEW_QUALITY, Values, ViewModel
 from pepperscene.tuning.views import ORGANS, PIXELS, OrganView, organ_views, with_surfaces
-
-if TYPE_CHECKING:
-    from pepperscene.recipe.recipe import Recipe
 
 Array = NDArray[np.float64]
 LAB_ERROR: Final = 0.5
@@ -280,8 +279,6 @@ def simulate_patches(
 
 def photograph(view: OrganView, camera: Camera, seed: tuple[int, int]) -> Patch:
     """Return the organ's pixels in an image of a view: light, electrons, noise, digital numbers, codes."""
-    from pepperscene.render import Renderer
-
     tone = camera.developing.tone
     render_seed = int(np.random.default_rng(seed).integers(2**31))
     electrons = Renderer(view.scene).render(camera, ["electrons"], SIMULATED_QUALITY, render_seed)[

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pepperscene.cultivar import PigmentPath, Pigments
+from pepperscene.camera import Camera, Flash, colour_transform
+from pepperscene.cultivar import Cultivar, PigmentPath, Pigments
 from pepperscene.spectra import Spectrum, illuminance
 from pepperscene.tuning.pigment_paths import state_distribution, tuned_path
-
-if TYPE_CHECKING:
-    from pepperscene.camera import Camera, Flash
-    from pepperscene.cultivar import Cultivar
 
 Array = NDArray[np.float64]
 STEPS: Final = 20
@@ -159,8 +156,6 @@ def colour_steps(camera: Camera, values: Mapping[str, ArrayLike] | None = None) 
 
     The camera's own are those of its reference light. They do not change if the flash is tuned.
     """
-    from pepperscene.camera import colour_transform
-
     if camera.sensor.channels == 1:
         return np.ones(3), np.eye(3)
     given = {} if values is None else values

@@ -10,22 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.camera import pedestal
+from pepperscene.cultivar import Cultivar, Distribution
 from pepperscene.render.gradients.renderer import DifferentiableRenderer
 from pepperscene.render.gradients.tunable import path_values
 from pepperscene.render.quality import Quality
+from pepperscene.tuning.bounds import Parameter
 from pepperscene.tuning.observables import OBSERVABLE_COUNT, SensorModel, observables, standardised_noise
+from pepperscene.tuning.tuned import TunedParts
 from pepperscene.tuning.views import OrganView
-
-if TYPE_CHECKING:
-    from pepperscene.cultivar import Cultivar, Distribution
-    from pepperscene.tuning.bounds import Parameter
-    from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]

@@ -10,23 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.camera import Camera, Distortion, look_at, pedestal
 from pepperscene.classes import OrganClass
+from pepperscene.cultivar import Cultivar
 from pepperscene.errors import InputError
+from pepperscene.geometry import Mesh, mesh_plant
+from pepperscene.grammar import grow
+from pepperscene.materials import Surface, organ_surfaces
 from pepperscene.recipe.plan import Stream, random_generator
+from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load_camera import surface_wavelengths
-
-if TYPE_CHECKING:
-    from pepperscene.camera import Camera
-    from pepperscene.cultivar import Cultivar
-    from pepperscene.geometry import Mesh
-    from pepperscene.materials import Surface
-    from pepperscene.recipe.recipe import Recipe
-    from pepperscene.scene import Scene, Sky
+from pepperscene.render import Renderer
+from pepperscene.scene import Scene, Sky, assemble_scene
 
 Array = NDArray[np.float64]
 ORGANS: Final = 3  # of each kind; chosen: a dark, a medium and a pale one
@@ -72,11 +72,6 @@ def organ_views(
     Raises:
         InputError: A kind is not that of an organ, or the plants have no such organ.
     """
-    from pepperscene.geometry import mesh_plant
-    from pepperscene.grammar import grow
-    from pepperscene.materials import organ_surfaces
-    from pepperscene.scene import assemble_scene
-
     for kind in kinds:
         _check_kind(kind)
     surfaces = organ_surfaces(cultivar, surface_wavelengths(camera.sensor))
@@ -110,8 +105,6 @@ def organ_views(
 
 def with_surfaces(view: OrganView, surfaces: dict[str, Surface]) -> OrganView:
     """Return the same view with other surfaces of the organ."""
-    from pepperscene.scene import assemble_scene
-
     used = {name: surfaces[name] for name in view.scene.mesh.surfaces}
     return replace(view, scene=assemble_scene(view.scene.mesh, used, view.scene.sky, lamps=view.scene.lamps))
 
@@ -161,8 +154,6 @@ def _select_organs(mesh: Mesh, kind: str, forward: Array, count: int) -> list[Me
 
 def _close_up_camera(camera: Camera, mesh: Mesh, forward: Array, position: Array, pixels: int) -> Camera:
     """The camera that sees an organ at a position `(3,)` in its own axes, with a lens that enlarges it."""
-    from pepperscene.camera import Distortion, look_at, pedestal
-
     # The width of the view follows from the thickness of the organ across its longer axis.
     points = mesh.vertices.astype(float)
     right = np.array([1.0, 0.0, 0.0])
@@ -193,8 +184,6 @@ def _close_up_camera(camera: Camera, mesh: Mesh, forward: Array, position: Array
 def _mask(kind: str, scene: Scene, camera: Camera) -> NDArray[np.bool_]:
     """`(h, w)` pixels that show the organ, as do all their neighbours."""
     from scipy.ndimage import binary_erosion
-
-    from pepperscene.render import Renderer
 
     organ_class = OrganClass[kind.partition(".")[0].upper()]
     visible = Renderer(scene).render(camera, ["class"])["class"] == organ_class

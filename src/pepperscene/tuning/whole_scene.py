@@ -6,22 +6,24 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab
+from pepperscene.building.execution.build import build
+from pepperscene.building.execution.job import BuildOptions
+from pepperscene.colour import PatchSet, delta_e_2000, linear_srgb_to_lab, open_patches
+from pepperscene.colour.patches.open import organ_regions
+from pepperscene.dataset.readers import open_images
+from pepperscene.dataset.store.dataset import Dataset
+from pepperscene.recipe.recipe import Recipe
 from pepperscene.truth.statistics import hue_spectrum_correlation
 from pepperscene.tuning.diagnostics import VISIBLE_DELTA_E
 from pepperscene.tuning.observables import observables
 from pepperscene.tuning.problem import FitProblem, NeighbourEffect
-
-if TYPE_CHECKING:
-    from pepperscene.dataset.store.dataset import Dataset
-    from pepperscene.recipe.recipe import Recipe
-    from pepperscene.tuning.target import TuningTarget
-    from pepperscene.tuning.tuned import TunedParts
+from pepperscene.tuning.target import TuningTarget
+from pepperscene.tuning.tuned import TunedParts
 
 Array = NDArray[np.float64]
 
@@ -77,10 +79,6 @@ def render_statistics(
 
     `allow_code` says whether the recipe's code may run.
     """
-    from pepperscene.building.execution.build import build
-    from pepperscene.building.execution.job import BuildOptions
-    from pepperscene.colour import open_patches
-
     total = recipe.plan.count
     count = min(frames, total)
     # Midpoints of equal parts of the plan.
@@ -94,9 +92,6 @@ def render_statistics(
 
 def _mean_electrons(dataset: Dataset, frames: Sequence[int]) -> dict[str, Array]:
     """Mean electrons `(3,)` over all pixels of each kind."""
-    from pepperscene.colour.patches.open import organ_regions
-    from pepperscene.dataset.readers import open_images
-
     images = open_images(dataset.folder)
     sums: dict[str, Array] = {}
     for picture, index in zip(images, frames, strict=True):

@@ -9,9 +9,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pepperscene.colour import MeasuredSpectrum, Patch, PatchSet, open_patches
+from pepperscene.recipe.recipe import Recipe
+from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.tuning.figure import BeforeAfter
 from pepperscene.tuning.least_squares import STARTS, FitResult, fit_parameters
 from pepperscene.tuning.report import RunInfo
@@ -25,9 +27,6 @@ from pepperscene.tuning.whole_scene import (
     render_statistics,
 )
 from pepperscene.tuning.write import check_folder, write_tuned
-
-if TYPE_CHECKING:
-    from pepperscene.recipe.recipe import Recipe
 
 MAX_ROUNDS: Final = 3
 VERIFY_FRAMES: Final = 4  # chosen: enough organs, in half a minute each time
@@ -137,9 +136,6 @@ def tune(
         OutputError: The folder is not empty, or cannot be written to.
         SetupError: The machine cannot render; nothing is written.
     """
-    from pepperscene.recipe.recipe import Recipe
-    from pepperscene.recipe.resolve.load import load_recipe
-
     source = extends if isinstance(recipe, Recipe) else recipe
     loaded = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     measured = patches if isinstance(patches, PatchSet) else open_patches(patches)

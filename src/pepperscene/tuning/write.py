@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,13 +27,11 @@ from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.shipped import shipped_folder
 from pepperscene.tuning.figure import BeforeAfter, before_after_png
+from pepperscene.tuning.least_squares import FitResult
 from pepperscene.tuning.part_files import changed_paths, cultivar_text, flash_changed, flash_files
 from pepperscene.tuning.report import RunInfo, describe_colours, describe_values, fit_record, toml_text
+from pepperscene.tuning.tuned import TunedParts
 from pepperscene.units import NONE
-
-if TYPE_CHECKING:
-    from pepperscene.tuning.least_squares import FitResult
-    from pepperscene.tuning.tuned import TunedParts
 
 _SAME: Final = 1e-9
 """Chosen: difference of gains and matrix entries that does not change a single code of an image."""

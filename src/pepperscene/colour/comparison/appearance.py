@@ -127,15 +127,9 @@ def add_appearance(
     scale: Scale,
     weights: Floats,
 ) -> None:
-    """Add the appearance of an image to the sums of its kinds.
+    """Add the appearance of an image `(h, w, 3)` with its labels `(h, w)` to the sums of its kinds.
 
-    Args:
-        kinds: sums by kind; missing ones are added.
-        colour: `(h, w, 3)` sRGB.
-        classes: `(h, w)` class ids, or None.
-        instances: `(h, w)` instances, 0 for none, or None.
-        scale: of the comparison; an image that is too narrow for it gives colours only, at its own scale.
-        weights: of the image, `bootstrap_weights`.
+    Missing kinds are added. An image that is too narrow for the scale gives colours only, at its own scale.
     """
     linear = decode_tone(colour)
     width = scale.width(colour.shape[1])

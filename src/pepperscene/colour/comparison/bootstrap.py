@@ -93,12 +93,9 @@ def unknown_estimate(why: str) -> Estimate:
 
 
 def estimate_values(values: Floats, resampled: bool, why: str = "it is not defined") -> Estimate:
-    """Estimate a measure from its value and its replicates.
+    """Estimate a measure from its value and its replicates `(1 + n,)`, or say why it is not finite.
 
-    Args:
-        values: `(1 + n,)`, the value first.
-        resampled: whether to compute an interval; replicates of a single image carry no information.
-        why: the reason to give if the value is not finite.
+    It has an interval if `resampled`; replicates of a single image carry no information.
     """
     if not np.isfinite(values[0]):
         return unknown_estimate(why)
@@ -125,11 +122,9 @@ def confidence_interval(values: Floats) -> tuple[float, float] | None:
     intervals", Can. J. Stat. 9:139): distances grow and correlations shrink when images are weighted
     unevenly, which shifts all replicates to one side.
 
-    Args:
-        values: `(1 + n,)` the measure, then its replicates.
-
     Returns:
-        Lower and upper end; None if the measure or more than one in ten of its replicates is not finite.
+        Lower and upper end, from the measure and its replicates `(1 + n,)`; None if the measure or more than
+        one in ten of its replicates is not finite.
     """
     from scipy.special import ndtr, ndtri
 

@@ -92,12 +92,7 @@ def choose_scales(
 
     Without sizes of pixels, images have one width, and central squares the same fraction of them. With sizes,
     pixels have one size on the plants, and so have central squares: the smaller of the two that are this
-    fraction of the first image of each set.
-
-    Args:
-        sets: both sets.
-        width_px: width to which images are reduced.
-        pixel_mm: size of a pixel of each set on the plants in millimetres, or None.
+    fraction of the first image of each set. Arguments are those of `compare`.
 
     Raises:
         ArgumentError: a width or a size is not positive.

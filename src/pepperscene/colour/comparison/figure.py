@@ -111,8 +111,7 @@ def _heading_notes(comparison: Comparison) -> list[str]:
 def _draw_heading(part: SubFigure, comparison: Comparison, notes: list[str]) -> None:
     from matplotlib.lines import Line2D
 
-    height = float(part.bbox.height / part.figure.dpi)
-    sides = comparison.sides
+    height, sides = _height_in(part), comparison.sides
     title = " and ".join(shorten_name(side.name, 45) for side in sides)
     part.text(0.04, 1.0 - 0.2 / height, title, fontsize=15, fontweight="bold", va="center")
     handles = []
@@ -300,9 +299,13 @@ def _falloff(mean: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
 
 def add_title(part: SubFigure, title: str) -> float:
     """Add a section's title; return the height of the section in inches."""
-    height = float(part.bbox.height / part.figure.dpi)
+    height = _height_in(part)
     part.text(0.04, 1.0 - 0.1 / height, title, va="top", fontsize=12, fontweight="bold")
     return height
+
+
+def _height_in(part: SubFigure) -> float:
+    return float(part.bbox.height / part.figure.dpi)
 
 
 def count_rows(kinds: Sized) -> int:

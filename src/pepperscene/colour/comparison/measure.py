@@ -82,13 +82,10 @@ class SetMeasures:
         stages: Mapping[str, NDArray[np.bool_]] | None = None,
         instances: NDArray[np.uint16] | None = None,
     ) -> None:
-        """Add an image.
+        """Add an image `(h, w, 3)` in sRGB, class ids `(h, w)` or both; ids above 7 are unlabelled.
 
-        Args:
-            colour: `(h, w, 3)` sRGB, or None.
-            classes: `(h, w)` class ids, or None; values above 7 are unlabelled.
-            stages: masks `(h, w)` of the kinds with a stage ("pepper.ripe").
-            instances: `(h, w)` instances, 0 for none, or None.
+        `stages` are masks `(h, w)` of the kinds with a stage ("pepper.ripe"); instances `(h, w)` are 0 for
+        none.
         """
         centre_px = self._centre(colour if classes is None else classes)
         self.statistics.add(colour, classes, centre_px)
@@ -101,16 +98,16 @@ class SetMeasures:
             grey = grey_values(colour)
             self.light.add([*_cell_means(grey), grey.mean(dtype=np.float64), 1.0], weights)
             add_appearance(self.appearance, colour, classes, instances, self.scale, weights)
-        if colour is not None:
             central = centre_crop(colour, centre_px)
-            self._add_pixels(WHOLE, central.reshape(-1, 3), weights)
-        if colour is not None and classes is not None:
-            ids = centre_crop(classes, centre_px)
-            masks = {organ_class.name.lower(): ids == organ_class for organ_class in OrganClass}
-            masks |= {kind: centre_crop(mask, centre_px) for kind, mask in (stages or {}).items()}
+            masks = {WHOLE: np.ones(central.shape[:2], bool)}
+            if classes is not None:
+                ids = centre_crop(classes, centre_px)
+                masks |= {organ_class.name.lower(): ids == organ_class for organ_class in OrganClass}
+                masks |= {kind: centre_crop(mask, centre_px) for kind, mask in (stages or {}).items()}
             for kind, mask in masks.items():
                 if mask.any():
-                    self._add_pixels(kind, central[mask], weights)
+                    codes = central[mask]
+                    self._add_kind(kind, hue_histogram(codes), _colour_sums(decode_tone(codes)), weights)
 
     def add_patches(self, patches: Iterable[Patch]) -> None:
         """Add all patches of one image; a patch with a stage counts for its class as well."""
@@ -148,10 +145,6 @@ class SetMeasures:
             return None
         size = (image.shape[0], image.shape[1])
         return self.centres.setdefault(size, self.scale.centre(*size))
-
-    def _add_pixels(self, kind: str, codes: NDArray[np.uint8], weights: Floats) -> None:
-        """Add the pixels `(n, 3)` sRGB of a kind in an image."""
-        self._add_kind(kind, hue_histogram(codes), _colour_sums(decode_tone(codes)), weights)
 
     def _add_kind(self, kind: str, hues: ArrayLike, colour_sums: Floats, weights: Floats) -> None:
         """Hues have the same weight in each image, as in the paper; colours are weighted by pixels."""
@@ -259,7 +252,4 @@ def _measure_patches(patches: PatchSet, limit: int | None) -> SetMeasures:
 
 def printable_name(name: str) -> str:
     """A name with escape sequences instead of characters that a text file, or XML, cannot hold."""
-    letters = (
-        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in name
-    )
-    return "".join(letters)
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in name)

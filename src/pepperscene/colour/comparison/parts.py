@@ -35,7 +35,6 @@ _ORDER: Final = [organ_class.name.lower() for organ_class in OrganClass]
 _ALL_GREY: Final = "all its pixels are grey"
 _NO_CLASS: Final = "given for classes only"
 _NO_DIRECTION: Final = "its hues have no direction"
-_KINDS: Final = (WHOLE, *(organ_class.name.lower() for organ_class in OrganClass))
 
 
 def common_kinds(sets: Sets) -> list[str]:
@@ -114,13 +113,12 @@ def _class_fraction(kind: str, side: SetMeasures) -> Estimate:
 
 def _compare_places(kind: str, sets: Sets) -> tuple[Estimate, Estimate]:
     """Correlation and structural similarity of the mean masks of a class."""
-    masks = []
+    if kind not in _ORDER:
+        return (unknown_estimate(_NO_CLASS),) * 2
+    organ_class, masks = OrganClass[kind.upper()], []
     for side in sets:
-        if kind not in _ORDER:
-            return (unknown_estimate(_NO_CLASS),) * 2
         if not side.places.count:
             return (unknown_estimate(unlabelled_reason(side)),) * 2
-        organ_class = OrganClass[kind.upper()]
         if not side.statistics.class_pixels[organ_class]:
             return (unknown_estimate(absence_reason(side)),) * 2
         masks.append(similarity.mean_masks(side.places.totals(), organ_class))
@@ -193,7 +191,7 @@ def _grey_spread(side: SetMeasures) -> float | None:
 def compare_appearance(sets: Sets) -> dict[str, AppearanceComparison]:
     """Whole images, then the classes in either set in their order; nothing for patches."""
     seen = {kind for side in sets for kind in side.appearance}
-    kinds = [kind for kind in _KINDS if kind in seen]
+    kinds = [kind for kind in (WHOLE, *_ORDER) if kind in seen]
     return {kind: AppearanceComparison(*(_measure_appearance(kind, side) for side in sets)) for kind in kinds}
 
 

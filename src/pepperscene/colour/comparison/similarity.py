@@ -35,11 +35,7 @@ def pairwise(
 ) -> Floats:
     """`(n,)` measure of each pair of rows of two arrays `(n, ...)`; nan where a row is not finite.
 
-    Args:
-        measure: of two rows.
-        first: rows of the first set.
-        second: rows of the second set.
-        resampled: whether to measure the replicates; otherwise only the first rows.
+    Without `resampled`, only the first rows are measured, and not the replicates.
     """
     if not resampled:
         first, second = first[:1], second[:1]

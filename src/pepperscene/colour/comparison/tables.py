@@ -73,10 +73,9 @@ def format_estimate(estimate: Estimate, digits: int = 2, factor: float = 1.0) ->
 
 def _set_table(comparison: Comparison) -> TextTable:
     """What is compared: images, the central square, and the scale of textures."""
-    sides = comparison.sides
     rows = [
         (letter, side.name, f"{side.units:,} of {side.available:,}", *describe_scale(side))
-        for letter, side in zip("AB", sides, strict=True)
+        for letter, side in zip("AB", comparison.sides, strict=True)
     ]
     headers = ("set", "name", "measured", "size, pixels", "hues and CIELAB", "saturation and texture")
     notes = tuple(f"{sentence}." for sentence in missing_parts(*comparison.sides))
@@ -89,8 +88,7 @@ def _hue_table(comparison: Comparison) -> TextTable:
             kind.kind,
             format_estimate(kind.hue_correlation),
             format_estimate(kind.hue_emd_deg, 1),
-            _format_hue(kind.first),
-            _format_hue(kind.second),
+            *(_format_hue(side.hue_mean_deg, side.hue_spread_deg) for side in (kind.first, kind.second)),
             f"{kind.first.pictures:,}",
             f"{kind.second.pictures:,}",
         )
@@ -110,9 +108,9 @@ def _both_labelled(comparison: Comparison) -> bool:
     return all(side.statistics.labelled_count or not side.has_images for side in sides)
 
 
-def _format_hue(side: KindMeasures) -> str:
-    mean, spread = side.hue_mean_deg.value, side.hue_spread_deg.value
-    return UNKNOWN if mean is None or spread is None else f"{mean:.0f} ± {spread:.0f}"
+def _format_hue(mean: Estimate, spread: Estimate) -> str:
+    known = mean.value is not None and spread.value is not None
+    return f"{mean.value:.0f} ± {spread.value:.0f}" if known else UNKNOWN
 
 
 def _lab_table(comparison: Comparison) -> TextTable:
@@ -171,19 +169,16 @@ def _light_table(comparison: Comparison) -> TextTable:
 
 
 def _saturation_table(comparison: Comparison) -> TextTable:
-    rows = []
-    for kind, letter, side in _appearance_sides(comparison):
-        hue, spread = side.hue_median_deg.value, side.hue_spread_deg.value
-        rows.append(
-            (
-                kind,
-                letter,
-                *(format_estimate(percentile) for percentile in side.saturation),
-                UNKNOWN if hue is None or spread is None else f"{hue:.0f} ± {spread:.0f}",
-                format_estimate(side.blue_dark_share, 1, 100.0),
-                format_estimate(side.clipped_share, 1, 100.0),
-            )
+    rows = [
+        (
+            kind,
+            letter,
+            *(format_estimate(percentile) for percentile in side.saturation),
+            _format_hue(side.hue_median_deg, side.hue_spread_deg),
+            *(format_estimate(share, 1, 100.0) for share in (side.blue_dark_share, side.clipped_share)),
         )
+        for kind, letter, side in _appearance_sides(comparison)
+    ]
     return TextTable(
         "Saturation S = C*/(L*+16), and hue weighted by chroma",
         ("kind", "set", "S 10 %", "S 50 %", "S 90 %", "hue, deg", "blue < .002, %", "clipped, %"),
@@ -321,7 +316,9 @@ def missing_parts(first: SetMeasures, second: SetMeasures) -> list[str]:
             "Colours, light, saturation and texture are not compared, because "
             f"{_holds(dark)} no photographs. A rendered set needs the output colour"
         )
-    elif narrow := [side for side in sides if not _has_textures(side)]:
+    elif narrow := [
+        side for side in sides if all(side.scale.width(width) is None for _, width in side.centres)
+    ]:
         names = " and ".join(side.name for side in narrow)
         width = min(max(width for _, width in side.centres) for side in narrow)
         sentences.append(
@@ -334,7 +331,3 @@ def missing_parts(first: SetMeasures, second: SetMeasures) -> list[str]:
 def _holds(names: list[str]) -> str:
     """Subject and verb: "a has", "a and b have"."""
     return f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'}"
-
-
-def _has_textures(side: SetMeasures) -> bool:
-    return any(side.scale.width(width) is not None for _, width in side.centres)

@@ -138,16 +138,15 @@ def _best_orientation(
 ) -> tuple[Floats, Floats, Floats]:
     """Corners in the order in which the fields fit the chart best, and the fields' means and saturation."""
     aim = chart_linear()
-    candidates = []
-    for oriented in orientations(corners):
-        means, saturated = _field_means(picture, oriented, tone, where)
+
+    def misfit(candidate: tuple[Floats, Floats, Floats]) -> float:
+        _, means, _ = candidate
         matrix, *_ = np.linalg.lstsq(means, aim, rcond=None)
-        misfit = float(
-            np.linalg.norm(linear_srgb_to_lab(means @ matrix) - linear_srgb_to_lab(aim), axis=1).mean()
-        )
-        candidates.append((misfit, oriented, means, saturated))
-    _, oriented, means, saturated = min(candidates, key=lambda candidate: candidate[0])
-    return oriented, means, saturated
+        difference = linear_srgb_to_lab(means @ matrix) - linear_srgb_to_lab(aim)
+        return float(np.linalg.norm(difference, axis=1).mean())
+
+    candidates = [(way, *_field_means(picture, way, tone, where)) for way in orientations(corners)]
+    return min(candidates, key=misfit)
 
 
 def _field_means(

@@ -56,15 +56,10 @@ def grid_corners(columns: int = COLUMNS, rows: int = ROWS) -> Floats:
 
 
 def field_numbers(shape: tuple[int, int], corners: Floats) -> tuple[tuple[slice, slice], NDArray[np.intp]]:
-    """Field numbers of the pixels in the central halves of fields; large charts are subsampled.
+    """The part of a picture that holds a chart, and in it the numbers `(h, w)` of the fields, row by row.
 
-    Args:
-        shape: height and width of the picture.
-        corners: `(4, 2)` pixel coordinates of the chart's corners, from the first field along its first row.
-
-    Returns:
-        The part of the picture that holds the chart, and in it the numbers `(h, w)` of the fields, row by
-        row; -1 outside the fields.
+    Pixels in the central halves of fields have their numbers, others -1; large charts are subsampled. The
+    corners `(4, 2)` go from the first field along its first row.
     """
     left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
     right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int), [shape[1], shape[0]])
@@ -94,11 +89,7 @@ class _Regions:
 
 
 def find_chart(picture: NDArray[np.uint8], where: str | Path) -> Floats:
-    """`(4, 2)` corners of the chart in a picture, in order around it, in pixel coordinates.
-
-    Args:
-        picture: `(h, w, 3)` uint8.
-        where: file name for messages.
+    """`(4, 2)` corners of the chart in a picture `(h, w, 3)`, in order around it, in pixel coordinates.
 
     Raises:
         InputError: no chart is found.
@@ -208,9 +199,8 @@ def _first_steps(regions: _Regions, seed: int) -> tuple[Floats, Floats] | None:
 
 def _region_at(regions: _Regions, current: int, centre: Floats, radius: float) -> int | None:
     """The region of similar size that is nearest to a point, if it is within the radius."""
-    distance = np.where(
-        _similar_size(regions, current), np.linalg.norm(regions.centres - centre, axis=1), np.inf
-    )
+    away = np.linalg.norm(regions.centres - centre, axis=1)
+    distance = np.where(_similar_size(regions, current), away, np.inf)
     nearest = int(distance.argmin())
     return nearest if distance[nearest] <= radius else None
 

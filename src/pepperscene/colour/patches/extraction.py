@@ -24,6 +24,7 @@ from pepperscene.document import read_toml, validate
 from pepperscene.errors import InputError
 from pepperscene.shipped import is_file, shipped_folder
 from pepperscene.spectra import Provenance, read_spectra, spectra_file
+from pepperscene.truth.statistics import centre_crop
 
 Clipped = Literal["keep", "leave_out"]
 
@@ -49,13 +50,7 @@ def reflectance_file(path_or_name: str | Path) -> Path:
 
 
 def read_reflectance(file: str | Path, column: str, kind: str, name: str | None = None) -> MeasuredSpectrum:
-    """Read one column of a CSV file of reflectances.
-
-    Args:
-        file: its path, or the name of a shipped one ("vrhel_fruit_vegetable_reflectance").
-        column: name of the column.
-        kind: kind of organ that was measured.
-        name: of the patch; None takes the column's.
+    """Read one column of a CSV file of reflectances of a kind of organ; its name is the column's by default.
 
     Raises:
         InputError: there is no such file or column, it has no provenance, or it holds no reflectances.
@@ -136,7 +131,7 @@ class Extraction:
         name: str,
         kind: str,
         picture: str,
-        crop: tuple[slice, slice] = (slice(None), slice(None)),
+        centre_px: int | None = None,
         calibration: Calibration | None = None,
     ) -> Patch | None:
         """Extract the patch of a region; None if no pixel is left.
@@ -149,11 +144,13 @@ class Extraction:
             name: of the patch.
             kind: of organ.
             picture: name of the picture.
-            crop: part of the image to use.
+            centre_px: side of the central square that is used, or None for all of the image.
             calibration: of this picture's colours, or None.
         """
-        inner = erode(region, self.erode_px)[crop]
-        codes = image[crop][inner]
+        inner = erode(region, self.erode_px)
+        if centre_px is not None:
+            image, region, inner = (centre_crop(part, centre_px) for part in (image, region, inner))
+        codes = image[inner]
         if not len(codes):
             return None
         clipped = ((codes == 0) | (codes == 255)).any(axis=1)
@@ -173,7 +170,7 @@ class Extraction:
             hues=hue_histogram(as_srgb),
             pixels=len(codes),
             clipped=int(clipped.sum()),
-            border=int(region[crop].sum()) - len(codes),
+            border=int(region.sum()) - len(codes),
         )
 
     def _linear(self, codes: NDArray[np.uint8], calibration: Calibration | None) -> NDArray[np.float64]:

@@ -141,13 +141,7 @@ def read_patches_file(
     erode_px: int | None = None,
     clipped: Clipped | None = None,
 ) -> PatchSet:
-    """Read the patches and spectra of a patches file.
-
-    Args:
-        path: of the TOML file.
-        pictures: folder of pictures and masks; overrides the file's.
-        erode_px: overrides the file's.
-        clipped: overrides the file's.
+    """Read the patches and spectra of a patches file; other arguments than the path override its own.
 
     Raises:
         InputError: a key, a picture, a mask, a chart or a spectrum is invalid.

@@ -117,8 +117,6 @@ def _patches_of_images(
         if isinstance(chart, ChartPlace):
             calibration = calibrate(picture.colour, chart.corners, where=picture.name)
         assert not isinstance(calibration, ChartPlace)
-        height, width = picture.size
-        crop = (_central_slice(height, centre_px), _central_slice(width, centre_px))
         for kind, region in organ_regions(images, picture):
             patch = extraction.patch(
                 picture.colour,
@@ -126,7 +124,7 @@ def _patches_of_images(
                 name=f"{picture.name} {kind}",
                 kind=kind,
                 picture=picture.name,
-                crop=crop,
+                centre_px=centre_px,
                 calibration=calibration,
             )
             if patch is not None:
@@ -172,17 +170,12 @@ def _ripeness_masks(images: ImageSet, picture: LabelledImage) -> Mapping[str, ND
         values = None if mask is None else mask.values
         return {} if values is None else {kind: np.isin(values, codes) for kind, codes in _MONTOYA.items()}
     if picture.instances is not None and "harvest" in picture.metadata:
-        known = [fruit for fruit in picture.metadata["harvest"]["fruit"] if fruit.get("ripeness") is not None]
-        ripe = [int(fruit["instance"]) for fruit in known if float(fruit["ripeness"]) >= RIPE_FROM]
-        unripe = [int(fruit["instance"]) for fruit in known if float(fruit["ripeness"]) < RIPE_FROM]
-        return {UNRIPE: np.isin(picture.instances, unripe), RIPE: np.isin(picture.instances, ripe)}
+        of_stage: dict[str, list[int]] = {UNRIPE: [], RIPE: []}
+        for fruit in picture.metadata["harvest"]["fruit"]:
+            if (ripeness := fruit.get("ripeness")) is not None:
+                of_stage[RIPE if float(ripeness) >= RIPE_FROM else UNRIPE].append(int(fruit["instance"]))
+        return {kind: np.isin(picture.instances, fruit) for kind, fruit in of_stage.items()}
     return {}
-
-
-def _central_slice(length: int, size: int | None) -> slice:
-    """Rows or columns of the centre, as `pepperscene.truth.statistics.centre_crop` cuts it."""
-    first = 0 if size is None else max(0, (length - size) // 2)
-    return slice(first, length if size is None else min(length, first + size))
 
 
 def _open_chart(chart: Mapping[str, Any] | Calibration | None) -> ChartPlace | Calibration | None:
