@@ -15,7 +15,7 @@ import torch
 from pepperscene.atomic import canonical_json, check_can_write, write_files, write_json
 from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.document import parse_json
-from pepperscene.errors import InputError, OutputError, short_repr
+from pepperscene.errors import InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.experiments.jobs import (
     MERGED,
@@ -145,11 +145,8 @@ def _claim_folder(folder: Path, settings: Mapping[str, Any]) -> None:
         found = parse_json(content)
     except ValueError:
         raise InputError(file, "is damaged; choose another folder") from None
-    difference = first_difference(found, current)
-    if difference is not None:
-        key, there, here = difference
-        problem = f"{key} is {short_repr(there)} there and {short_repr(here)} here; choose another folder"
-        raise InputError(file, f"is of other experiments: {problem}")
+    if difference := first_difference(found, current):
+        raise InputError(file, f"is of other experiments: {difference}; choose another folder")
 
 
 def _collect(jobs: Sequence[NetworkJob], runner: JobRunner) -> dict[str, ExperimentResult]:

@@ -114,7 +114,7 @@ class TrainingLoop:
         sets: Sequence[ImageSet],
         labels: ClassTable,
         origin: TrainedModel | None,
-        record: Mapping[str, Any],
+        record: dict[str, Any],
         matching: ColourMatching | None = None,
     ) -> None:
         self.options, self.labels, self.record = options, labels, record
@@ -155,7 +155,7 @@ class TrainingLoop:
         assert options.steps is not None
         assert options.batch is not None
         assert options.validate is not None
-        state = TrainingState(0, None, 0, self.record)
+        state = TrainingState(record=self.record)
         if (folder / STATE_FILE).is_file():
             state = read_state(folder, self.trained.module, self.optimiser, self.record)
         if folder.is_dir():
@@ -237,7 +237,7 @@ class TrainingLoop:
             training = {**self.record, "step": step, f"validation_{measure}": quality}
             replace(self.trained, training=training).save(folder / MODEL_FILE)
         _append_log(folder / LOG_FILE, {"step": step, "loss": loss, measure: quality})
-        state = TrainingState(step, best, best_step, self.record)
+        state = TrainingState(step=step, best=best, best_step=best_step, record=self.record)
         write_state(folder, self.trained.module, self.optimiser, state)
         return state
 

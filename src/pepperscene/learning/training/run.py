@@ -13,6 +13,7 @@ import numpy as np
 
 from pepperscene.atomic import check_can_create, sole_writer, visible_names, write_error, write_file
 from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.learning.model_card import CARD_FILE, model_card
 from pepperscene.learning.models.trained_model import (
@@ -20,7 +21,6 @@ from pepperscene.learning.models.trained_model import (
     MODEL_FILE,
     ModelDescription,
     TrainedModel,
-    check_description,
     load_model,
     read_weights,
     require_torch,
@@ -150,7 +150,7 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
     if STATE_FILE not in names:
         # The training was killed at its first checkpoint, or its state was removed. It starts anew.
         file = folder / MODEL_FILE
-        training = check_description(file, read_weights(file, FORMAT)[1], ModelDescription)["training"]
+        training = validate(ModelDescription, read_weights(file, FORMAT)[1], file).training
         results = ("step", *(f"validation_{measure}" for measure in MEASURES.values()))
         check_record(file, {key: training[key] for key in training if key not in results}, record)
 
