@@ -233,7 +233,7 @@ def test_options_in_the_text_of_a_model():
     assert build_model(f"{NARROW},field=224", 4).head[1].dilation == (12, 12)
     for name in MODELS:
         completed = TrainingOptions(f"{name},width=0.5").completed()
-        assert vars(MODELS[name]).items() <= vars(completed).items()
+        assert MODELS[name].items() <= vars(completed).items()
     assert TrainingOptions("own_nets:half").completed().batch == 8
     assert without_initial_weights("deeplab_vgg16, weights=a.safetensors,field=224") == (
         "deeplab_vgg16,field=224"

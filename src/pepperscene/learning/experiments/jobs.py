@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +18,7 @@ from pepperscene.learning.evaluation.evaluate import evaluate
 from pepperscene.learning.experiments.sets import ExperimentSets
 from pepperscene.learning.models.trained_model import TrainedModel, load_model
 from pepperscene.learning.options import ExperimentOptions, TrainingOptions, TrainingProgress
-from pepperscene.learning.training.loop import LOG_FILE
+from pepperscene.learning.training.loop import LOG_FILE, read_log
 from pepperscene.learning.training.run import train
 from pepperscene.user_files import read_file
 
@@ -86,10 +85,10 @@ class NetworkJob:
     start: str | Path | None = None
     tests: tuple[NetworkTest, ...] = ()
 
-    def describe(self) -> str:
-        """Seed, fold and experiment in words."""
+    def describe(self, experiment: str) -> str:
+        """Seed, fold and an experiment in words."""
         fold = "" if self.fold is None else f", fold {self.fold}"
-        return f"seed {self.seed}{fold}, experiment {self.experiment}"
+        return f"seed {self.seed}{fold}, experiment {experiment}"
 
 
 def schedule_jobs(
@@ -218,7 +217,7 @@ class JobRunner:
 
     def log(self, job: NetworkJob) -> list[dict[str, Any]]:
         """Loss and validations of a training."""
-        return _read_log(self.folder(job) / LOG_FILE)
+        return read_log(self.folder(job) / LOG_FILE)
 
     def times(self) -> dict[str, float]:
         """Seconds that each training and test took."""
@@ -228,20 +227,20 @@ class JobRunner:
     def is_trained(self, job: NetworkJob) -> bool:
         """Whether the training of a job has taken its last step."""
         log = self.log(job)
-        return bool(log) and log[-1].get("step") == job.options.steps
+        return bool(log) and log[-1]["step"] == job.options.steps
 
     def _train(self, job: NetworkJob) -> None:
         start = job.start if not isinstance(job.start, str) else self._out / TRAININGS / job.start
-        begin = time.monotonic()
+        begin, name = time.monotonic(), job.describe(job.experiment)
 
         def report(progress: TrainingProgress) -> None:
             seconds = f"{_duration(progress.left_s)} left"
             later = (self._left - self._images[job.name]) / max(progress.images_per_s, 1e-9)
             total = f", {_duration(progress.left_s + later)} for all trainings" if later > 0 else ""
-            text = f"{job.describe()}: step {progress.step:,} of {progress.steps:,}, {seconds}{total}"
+            text = f"{name}: step {progress.step:,} of {progress.steps:,}, {seconds}{total}"
             self._on_message(text, progress.step < progress.steps)
 
-        self._on_message(f"{job.describe()}: training", False)
+        self._on_message(f"{name}: training", False)
         try:
             train(
                 job.images,
@@ -257,8 +256,7 @@ class JobRunner:
         self._left -= self._images[job.name]
 
     def _evaluate(self, job: NetworkJob, test: NetworkTest) -> None:
-        name = f"seed {job.seed}" + ("" if job.fold is None else f", fold {job.fold}")
-        name += f", experiment {test.experiment}"
+        name = job.describe(test.experiment)
         self._on_message(f"{name}: testing on {sum(map(len, test.images)):,} images", False)
         begin = time.monotonic()
         evaluation = evaluate(
@@ -299,13 +297,3 @@ def _read_json(file: Path) -> dict[str, Any]:
     if not isinstance(content, Mapping):
         raise InputError(file, "is damaged; remove it to test the network again")
     return dict(content)
-
-
-def _read_log(file: Path) -> list[dict[str, Any]]:
-    """Complete lines of the log of a training; none if there is no log."""
-    lines = []
-    if file.is_file():
-        for line in read_file(file, "log").splitlines():
-            with suppress(ValueError, TypeError):
-                lines.append(dict(parse_json(line)))
-    return lines

@@ -9,9 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-import torch
-
 from pepperscene.atomic import canonical_json, check_can_write, write_files, write_json
 from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.document import parse_json
@@ -37,9 +34,8 @@ from pepperscene.learning.models.registry import build_model
 from pepperscene.learning.models.trained_model import load_model
 from pepperscene.learning.options import ExperimentOptions, is_built_in
 from pepperscene.learning.training.checkpoint import first_difference
-from pepperscene.learning.training.run import describe_images
+from pepperscene.learning.training.run import describe_images, used_versions
 from pepperscene.user_files import read_file
-from pepperscene.version import __version__
 
 JSON_NAME: Final = "experiments.json"
 PAGE_NAME: Final = "experiments.html"
@@ -198,7 +194,7 @@ def _content(
         },
         "other": sources.describe()["other"],
         "trainings": [_training_json(job, runner) for job in jobs],
-        "versions": {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__},
+        "versions": used_versions(),
     }
 
 

@@ -77,7 +77,8 @@ def train(
 
     chosen, folder = options or TrainingOptions(), Path(out)
     sets, validation, match = _as_tuple(sets), _as_tuple(validation), _as_tuple(match)
-    load = partial(load_model, factory=_own_factory(chosen.model), allow_code=chosen.allow_code)
+    factory = None if is_built_in(chosen.model) else chosen.model
+    load = partial(load_model, factory=factory, allow_code=chosen.allow_code)
     origin = load(start) if isinstance(start, str | Path) else start
     if origin is not None:
         # The defaults are those of the model that is adapted.
@@ -88,12 +89,20 @@ def train(
             raise ArgumentError("classes", f"must be those of the detector to start from, {origin.classes}")
     chosen = chosen.completed()
     labels = chosen.table()
-    _check_sets(sets, "sets")
-    _check_sets(validation, "validation")
+    if not sets:
+        raise ArgumentError("sets", "must hold at least one set")
+    for images in (*sets, *validation):
+        if not len(images):
+            raise InputError(images.name, "holds no images")
     matching = ColourMatching(match, chosen.matching) if match else None
-    record = _record(chosen, sets, validation, origin)
-    if match:
-        record["match"] = [describe_images(images) for images in match]
+    record = {
+        "options": chosen.as_record(),
+        "sets": [describe_images(images) for images in sets],
+        "validation": [describe_images(images) for images in validation],
+        "start": None if origin is None else _digest_weights(origin),
+        "versions": used_versions(),
+        **({"match": [describe_images(images) for images in match]} if match else {}),
+    }
     check_can_create(folder)
     if validation and chosen.task == "segment":
         # Raises an error if they have no pixel of the classes.
@@ -110,11 +119,6 @@ def train(
     return model
 
 
-def _own_factory(model: str) -> str | None:
-    """The text of a model that is none of this package, or None."""
-    return None if is_built_in(model) else model
-
-
 def describe_images(images: ImageSet) -> dict[str, Any]:
     """Name, number of images and digests of a set as JSON values."""
     names = hashlib.sha256("\n".join(images.names()).encode("utf-8", "surrogateescape")).hexdigest()
@@ -125,14 +129,6 @@ def describe_images(images: ImageSet) -> dict[str, Any]:
 
 def _as_tuple(sets: ImageSet | Sequence[ImageSet]) -> tuple[ImageSet, ...]:
     return (sets,) if isinstance(sets, ImageSet) else tuple(sets)
-
-
-def _check_sets(sets: Sequence[ImageSet], where: str) -> None:
-    if where == "sets" and not sets:
-        raise ArgumentError(where, "must hold at least one set")
-    for images in sets:
-        if len(images) == 0:
-            raise InputError(images.name, "holds no images")
 
 
 def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None:
@@ -155,22 +151,11 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
         check_record(file, {key: training[key] for key in training if key not in results}, record)
 
 
-def _record(
-    options: TrainingOptions,
-    sets: Sequence[ImageSet],
-    validation: Sequence[ImageSet],
-    origin: TrainedModel | None,
-) -> dict[str, Any]:
-    """What defines the result of a training: a resumption must agree with it."""
+def used_versions() -> dict[str, str]:
+    """Versions of the packages that decide the result of a training."""
     import torch
 
-    return {
-        "options": options.as_record(),
-        "sets": [describe_images(images) for images in sets],
-        "validation": [describe_images(images) for images in validation],
-        "start": None if origin is None else _digest_weights(origin),
-        "versions": {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__},
-    }
+    return {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__}
 
 
 def _digest_weights(segmenter: TrainedModel) -> str:
