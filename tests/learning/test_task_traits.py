@@ -33,7 +33,7 @@ needs_scikit_learn = pytest.mark.skipif(
 def samples_of(reflectance, trait):
     count = len(trait)
     numbers = np.arange(count)
-    return OrganSamples(reflectance, trait, np.zeros(count, int), numbers + 1, np.full(count, 99))
+    return OrganSamples(reflectance, trait, np.zeros(count, int), numbers + 1)
 
 
 def random_bands(seed, count=60, bands=5):
@@ -61,7 +61,7 @@ def test_small_organs_and_pixels_without_a_value_do_not_count():
     trait[1, 0] = 5.0
     reflectance[1, 0, 1] = np.nan
     found = organ_samples(0, reflectance, trait, instances, np.ones((4, 4), bool), smallest_px=5)
-    assert (found.instance.tolist(), found.pixels.tolist(), found.trait.tolist()) == ([1], [11], [1.0])
+    assert (found.instance.tolist(), found.trait.tolist()) == ([1], [1.0])
 
 
 def test_a_perfect_prediction_has_no_error_and_the_mean_explains_nothing():
@@ -135,9 +135,7 @@ def test_indices_need_bands_near_their_wavelengths():
 
 def test_maps_are_scored_by_the_mean_over_each_organ(tmp_path):
     instances = np.repeat([[0, 3, 7]], 4, axis=0).astype(np.uint16)
-    truth = OrganSamples(
-        np.zeros((2, 1)), np.array([0.3, 0.9]), np.zeros(2, int), np.array([3, 7]), np.full(2, 4)
-    )
+    truth = OrganSamples(np.zeros((2, 1)), np.array([0.3, 0.9]), np.zeros(2, int), np.array([3, 7]))
     found = np.full((4, 3), np.nan)
     found[:, 1], found[:2, 2], found[2:, 2] = 0.4, 0.7, 0.9
     np.save(tmp_path / "000000.npy", found)

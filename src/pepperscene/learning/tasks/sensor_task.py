@@ -21,17 +21,10 @@ from pepperscene.learning.evaluation.measures import (
     mean_intersection_over_union,
 )
 from pepperscene.learning.options import TrainingOptions
-from pepperscene.learning.tasks.frames import (
-    PredictionFolder,
-    TaskFrames,
-    TaskSplit,
-    count_frames,
-    open_task_frames,
-)
+from pepperscene.learning.tasks.frames import PredictionFolder, TaskFrames, TaskSplit, open_task_frames
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 
 if TYPE_CHECKING:
-    from pepperscene.dataset.readers.image_set import ImageSet
     from pepperscene.learning.options import TrainingProgress
 
 SENSOR_OUTPUTS: Final = ("colour", "class")
@@ -154,11 +147,6 @@ def twin_number(frames: TaskFrames, index: int) -> int:
     return int(index // (plan["frames"] * plan.get("cameras", 1)) % plan.get("twins", 1))
 
 
-def twin_frames(frames: TaskFrames, twin: int) -> TaskFrames:
-    """The frames of one twin."""
-    return frames.with_indices([index for index in frames.indices if twin_number(frames, index) == twin])
-
-
 def _twins(frames: TaskFrames) -> list[int]:
     return sorted({twin_number(frames, index) for index in frames.indices})
 
@@ -187,12 +175,14 @@ def _train_baseline(
     from pepperscene.learning.training.run import train
 
     baseline = SENSOR_BASELINES[name]
-    chosen = frames.train if baseline.all_twins else twin_frames(frames.train, twin)
+    chosen = frames.train
+    if not baseline.all_twins:
+        own = tuple(index for index in chosen.indices if twin_number(chosen, index) == twin)
+        chosen = replace(chosen, indices=own)
     if not len(chosen):
         raise InputError(frames.test.dataset.folder, f"has no frames of twin {twin} to train on")
-    sets: ImageSet = chosen.images()
     model = train(
-        [sets],
+        [chosen.images()],
         out / name,
         replace(options or TRAINING, augmentation=baseline.augmentation),
         resume=True,
@@ -207,14 +197,9 @@ def _train_baseline(
 
 
 def _result(frames: TaskSplit, scores: Sequence[Score], twin: int) -> TaskResult:
-    measures = tuple(
-        TaskMeasure(name, f"{name}, %" if name == "mean" else name, 1, 100.0)
-        for name in ("mean", *CLASSES.names)
-    )
+    each = (TaskMeasure(name, name, 1, 100.0) for name in CLASSES.names)
+    measures = (TaskMeasure("mean", "mean, %", 1, 100.0), *each)
     others = ", ".join(str(number) for number in _twins(frames.test) if number != twin)
-    title = (
-        f"Segmentation across sensors: {frames.test.dataset.folder.resolve().name}, "
-        f"{count_frames(len(frames.test))}, IoU"
-    )
+    title = f"Segmentation across sensors: {frames.title}, IoU"
     notes = (f"own: twin {twin}; other: twin{'s' if ',' in others else ''} {others}", *frames.notes)
     return TaskResult("cross_sensor", title, measures, tuple(scores), "images of", notes)
