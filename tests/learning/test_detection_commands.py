@@ -17,7 +17,7 @@ from pepperscene.errors import EXIT_BAD_INPUT
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 coder = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 
-from pepperscene.learning.evaluation.outlines import draw_outlines  # noqa: E402
+from pepperscene.learning.evaluation.predict import draw_outlines  # noqa: E402
 from pepperscene.learning.models import load_model  # noqa: E402
 
 # pycocotools 2.0.11 decodes masks in a way that NumPy 2 tolerates for now.

@@ -68,8 +68,8 @@ def class_frequencies(sets: Sequence[ImageSet], labels: ClassTable) -> NDArray[n
     """
     counts = np.zeros(len(labels))
     for images in sets:
-        positions = np.unique(np.linspace(0, len(images) - 1, _COUNTED // len(sets) + 1).round().astype(int))
-        for image in images.select("classes").take(positions.tolist()):
+        positions = evenly_spaced(len(images), _COUNTED // len(sets) + 1)
+        for image in images.select("classes").take(positions):
             if image.classes is not None:
                 counts += np.bincount(labels.indices(image.classes).ravel(), minlength=256)[: len(labels)]
     if not counts.any():

@@ -7,15 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pepperscene.atomic import check_can_create, sole_writer, visible_names, write_error, write_file
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, OutputError
-from pepperscene.learning.model_card import CARD_FILE, model_card
 from pepperscene.learning.models.trained_model import (
     FORMAT,
     MODEL_FILE,
@@ -27,6 +28,13 @@ from pepperscene.learning.models.trained_model import (
 )
 from pepperscene.learning.options import MEASURES, TrainingOptions, TrainingProgress, is_built_in
 from pepperscene.version import __version__
+
+CARD_FILE: Final = "model_card.md"
+
+_SHOWN_OPTIONS: Final = (
+    "model", "steps", "batch", "size", "width", "learning_rate", "schedule", "balance", "lovasz",
+    "least_area", "augmentation", "seed", "precision",
+)  # fmt: skip
 
 
 def train(
@@ -164,3 +172,34 @@ def _digest_weights(segmenter: TrainedModel) -> str:
         content.update(name.encode())
         content.update(tensor.cpu().contiguous().numpy().tobytes())
     return content.hexdigest()
+
+
+def model_card(model: TrainedModel) -> str:
+    """What a network is for, how it was made, and what it was measured on, in Markdown.
+
+    Mitchell et al. 2019, "Model cards for model reporting", FAT*.
+    """
+    environment = Environment(
+        loader=PackageLoader("pepperscene.learning"),
+        autoescape=False,  # Markdown; names are in code spans
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters["code"] = lambda text: f"`{' '.join(str(text).replace('`', '').split())}`"
+    record, organs = model.training, [organ.name.lower() for organ in OrganClass]
+    classes = [
+        (name, ", ".join(organs[class_id] for class_id in sorted(members)))
+        for name, members in zip(model.classes.names, model.classes.members, strict=True)
+    ]
+    options = record["options"]
+    return environment.get_template(CARD_FILE).render(
+        model=model,
+        record=record,
+        classes=classes,
+        options={name: options[name] for name in _SHOWN_OPTIONS if name in options},
+        quality=record.get(f"validation_{MEASURES[model.task]}"),
+        is_rendered=all(item["recipe_sha256"] for item in record["sets"]),
+        version=__version__,
+    )
