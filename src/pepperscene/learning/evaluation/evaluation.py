@@ -52,14 +52,7 @@ class EvaluatedImage:
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """One set of an evaluation.
-
-    Attributes:
-        name: of the set.
-        available: number of its images.
-        evaluated: number of those that were evaluated.
-        unlabelled: number of those that were chosen, but have no mask.
-    """
+    """Name of an evaluated set, and numbers of its images: all, evaluated, and chosen ones without a mask."""
 
     name: str
     available: int

@@ -31,12 +31,7 @@ PAGE_NAME: Final = "evaluation.html"
 
 @dataclass(frozen=True)
 class EvaluationFiles:
-    """The files of an evaluation.
-
-    Attributes:
-        data: the JSON file.
-        page: the HTML file.
-    """
+    """The files of an evaluation, JSON and HTML."""
 
     data: Path
     page: Path

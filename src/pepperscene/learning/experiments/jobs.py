@@ -100,19 +100,20 @@ def schedule_jobs(
     for seed in range(1, options.seeds + 1):
         synthetic = _synthetic_jobs(sets, options, classes, seed)
         jobs += synthetic
-        start = other if isinstance(other, Path) else None
+        unrelated: str | Path | None = other if isinstance(other, Path) else None
         if isinstance(other, ImageSet):
-            unrelated = NetworkJob(
-                f"seed{seed}_D_start", "D start", seed, None, options.synthetic(seed), (other,)
-            )
-            jobs.append(unrelated)
-        for fold in range(1, len(sets.folds) + 1):
+            unrelated = f"seed{seed}_D_start"
+            jobs.append(NetworkJob(unrelated, "D start", seed, None, options.synthetic(seed), (other,)))
+        for fold, split in enumerate(sets.folds, start=1):
             scratch, fine = options.from_scratch(seed, fold), options.fine_tuning(seed, fold)
-            jobs.append(_real_job("C", sets, classes, seed, fold, scratch, None))
-            if other is not None:
-                origin = start or unrelated.name
-                jobs.append(_real_job("D", sets, classes, seed, fold, fine, origin))
-            jobs.append(_real_job("E", sets, classes, seed, fold, fine, synthetic[-1].name))
+            train, test = (sets.real.take(split.train),), (sets.real.take(split.test),)
+            validation = (sets.real.take(split.validation),) if split.validation else ()
+            starts = {"C": None, "D": unrelated, "E": synthetic[-1].name}
+            for key, start in starts.items():
+                if key == "C" or start is not None:
+                    name, training = f"seed{seed}_fold{fold}_{key}", scratch if key == "C" else fine
+                    tests = (NetworkTest(key, test, classes),)
+                    jobs.append(NetworkJob(name, key, seed, fold, training, train, validation, start, tests))
     return tuple(jobs)
 
 
@@ -125,17 +126,11 @@ def _synthetic_jobs(
     on_real = NetworkTest("B", (sets.real.take(tested),), classes)
     training = options.synthetic(seed)
 
-    def job(experiment: str, trained: TrainingOptions, *tests: NetworkTest) -> NetworkJob:
-        return NetworkJob(
-            f"seed{seed}_{experiment}",
-            experiment,
-            seed,
-            None,
-            trained,
-            tuple(item.part("train") for item in sets.synthetic),
-            tuple(item.part("validation") for item in sets.synthetic),
-            tests=tests,
-        )
+    train = tuple(item.part("train") for item in sets.synthetic)
+    validation = tuple(item.part("validation") for item in sets.synthetic)
+
+    def job(key: str, trained: TrainingOptions, *tests: NetworkTest) -> NetworkJob:
+        return NetworkJob(f"seed{seed}_{key}", key, seed, None, trained, train, validation, tests=tests)
 
     if classes.members == ClassTable.organs().members:
         return [job("A", training, NetworkTest("A", synthetic), on_real)]
@@ -146,39 +141,12 @@ def _synthetic_jobs(
     ]
 
 
-def _real_job(
-    experiment: str,
-    sets: ExperimentSets,
-    classes: ClassTable,
-    seed: int,
-    fold: int,
-    options: TrainingOptions,
-    start: str | Path | None,
-) -> NetworkJob:
-    """A network that is trained on the photographs of a fold and tested on its others."""
-    split = sets.folds[fold - 1]
-    return NetworkJob(
-        f"seed{seed}_fold{fold}_{experiment}",
-        experiment,
-        seed,
-        fold,
-        options,
-        (sets.real.take(split.train),),
-        (sets.real.take(split.validation),) if split.validation else (),
-        start,
-        (NetworkTest(experiment, (sets.real.take(split.test),), classes),),
-    )
-
-
 class JobRunner:
     """Trains and tests networks in a folder.
 
     Args:
-        out: the folder.
-        jobs: all of them, in order.
         training: options that all jobs share: the device, and whether a `module:factory` may be called.
-        on_message: called with a line about what is being done, and whether it is one of many that can be
-            left out.
+        on_message: as of `run_experiments`.
     """
 
     def __init__(

@@ -42,13 +42,7 @@ _DASHES: Final = ("solid", (0, (3, 1.5)), (0, (1, 1.5)), (0, (4, 1.5, 1, 1.5)))
 def experiments_page(
     content: Mapping[str, Any], pictures: Sequence[ImagePanels], times: Mapping[str, float]
 ) -> str:
-    """The page of a result of `run_experiments`.
-
-    Args:
-        content: of `experiments.json`.
-        pictures: photographs with predictions.
-        times: seconds of each training and test.
-    """
+    """The page of the content of `experiments.json`, with the seconds of each training and test."""
     by_key = {item["key"]: item for item in content["experiments"]}
     # A to E in common classes.
     results = {key: by_key[MERGED] if key == "A" and MERGED in by_key else by_key[key] for key in "ABCDE"}
@@ -66,7 +60,11 @@ def experiments_page(
         missing=[(key, item["why"]) for key, item in results.items() if not item["ran"]],
         bars=_bar_chart("IoU by class and experiment, in percent", names, groups),
         experiment_colours=[(_COLOURS[key], f"{key}: {_short(item['title'])}") for key, item in ran.items()],
-        organ_rows=_organ_rows(by_key) if MERGED in by_key else [],
+        # Experiment A in its own classes, where the others have fewer.
+        organ_rows=[
+            (measure["name"], *format_measure(measure).partition(" ± ")[::2])
+            for measure in (by_key["A"]["measures"] if MERGED in by_key else ())
+        ],
         classes=class_legend(classes, np.arange(len(classes), dtype=np.uint8)),
         images=pictures,
         curves=_curves(content["trainings"]),
@@ -137,14 +135,6 @@ def _result_row(key: str, item: Mapping[str, Any], columns: int) -> list[str]:
     if not item["ran"]:
         return [name, "not run", *[""] * columns]
     return [name, f"{item['images']:,}", *map(format_measure, item["measures"])]
-
-
-def _organ_rows(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Experiment A in its own classes, where the others have fewer."""
-    return [
-        (measure["name"], *format_measure(measure).partition(" ± ")[::2])
-        for measure in results["A"]["measures"]
-    ]
 
 
 @dataclass(frozen=True)

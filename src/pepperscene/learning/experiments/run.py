@@ -47,13 +47,7 @@ _DIFFERENCES: Final = (("E", "C"), ("B", "C"), ("E", "B"), ("D", "C"), ("E", "D"
 
 @dataclass(frozen=True)
 class ExperimentFiles:
-    """Files and result of the experiments.
-
-    Attributes:
-        data: the JSON file.
-        page: the HTML file.
-        content: of the JSON file.
-    """
+    """Files of the experiments: JSON and HTML, and the content of the JSON file."""
 
     data: Path
     page: Path

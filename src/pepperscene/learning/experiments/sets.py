@@ -108,13 +108,7 @@ class SplitSet:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentSets:
-    """All images of the experiments.
-
-    Attributes:
-        synthetic: sets with their splits.
-        real: photographs.
-        folds: of the photographs.
-    """
+    """All images of the experiments: synthetic sets, photographs, and the folds of these."""
 
     synthetic: tuple[SplitSet, ...]
     real: ImageSet
@@ -128,14 +122,7 @@ def find_sources(
     other: str | Path | None = None,
     labels: str | None = None,
 ) -> Sources:
-    """Open the sets and load the recipes that the user names.
-
-    Args:
-        recipes: names or files of recipes, or folders of sets.
-        real: folder of photographs with masks, in any layout.
-        options: number and size of the frames to build, and whether the code of recipes may run.
-        other: trained model or set that is not related.
-        labels: meaning of the masks of folders without a `classes.toml`.
+    """Open the sets and load the recipes that the user names; arguments are those of `run_experiments`.
 
     Raises:
         InputError: a recipe or a set is missing or not valid, or no photograph has a mask.

@@ -35,9 +35,7 @@ class Split:
 def split_synthetic(images: ImageSet, *, as_paper: bool = False) -> Split:
     """Split a synthetic set so that no plant is in two parts, where the set says which plants it shows.
 
-    Args:
-        images: a set in any layout.
-        as_paper: whether to use the paper's numbers of images, for the published data set.
+    With `as_paper`, the published data set is split by the paper's numbers of images.
 
     Raises:
         InputError: the set has fewer than three images.
@@ -65,9 +63,7 @@ def split_synthetic(images: ImageSet, *, as_paper: bool = False) -> Split:
 def real_folds(images: ImageSet, *, as_paper: bool = False) -> tuple[Split, ...]:
     """Folds of photographs: each half of the images tests networks that were trained on the other half.
 
-    Args:
-        images: photographs with masks.
-        as_paper: whether to use the paper's numbers of images, for the published data set: one fold.
+    With `as_paper`, the published data set has one fold of the paper's numbers of images.
 
     Raises:
         InputError: there are fewer than two images.

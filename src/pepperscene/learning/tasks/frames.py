@@ -35,13 +35,7 @@ DEFAULT_SPLIT: Final = "train=.8,test=.2"
 
 @dataclass(frozen=True, eq=False)
 class TaskFrames:
-    """Frames of one split of a data set.
-
-    Attributes:
-        dataset: that they belong to.
-        split: its name, "train" or "test".
-        indices: of the frames, ascending.
-    """
+    """Frames of the split "train" or "test" of a data set, by their ascending indices."""
 
     dataset: Dataset
     split: str
@@ -129,11 +123,8 @@ def _check_outputs(dataset: Dataset, index: int, outputs: Sequence[str]) -> None
 class PredictionFolder:
     """A folder of predictions; `000012.npy`, `000012.exr` or `000012.png` belongs to frame 12.
 
-    Attributes:
-        folder: the folder.
-
     Raises:
-        InputError: it is none.
+        InputError: it is no folder.
     """
 
     folder: Path

@@ -43,12 +43,7 @@ OnTraining = Callable[[str, "TrainingProgress"], None]
 
 @dataclass(frozen=True)
 class SensorBaseline:
-    """How the shipped network is trained.
-
-    Attributes:
-        augmentation: strength of random changes of the training images.
-        all_twins: whether it learns from all cameras, as if photographs of each were labelled.
-    """
+    """How the shipped network is trained: the strength of random changes of images, and on which cameras."""
 
     augmentation: float
     all_twins: bool = False
@@ -114,14 +109,7 @@ def evaluate_sensors(
 
 
 def score_twins(name: str, segment: SegmentImage, test: TaskFrames, twin: int) -> list[Score]:
-    """IoU of each class on the twin that a method learned from, on the others, and the gap.
-
-    Args:
-        name: of the method.
-        segment: predicts the classes of a frame.
-        test: frames of two twins or more.
-        twin: that the method learned from.
-    """
+    """IoU of each class on the twin that a method learned from, on the others, and the gap."""
     matrices = {number: np.zeros((len(CLASSES), len(CLASSES)), np.int64) for number in _twins(test)}
     images = test.images().select("colour", "classes")
     for position, index in enumerate(test.indices):
