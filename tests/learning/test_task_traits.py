@@ -6,12 +6,11 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from commands import rejected, run
 from task_sets import painted_set
-from typer.testing import CliRunner
 
-from pepperscene.cli import app
 from pepperscene.dataset.store.dataset import open_dataset
-from pepperscene.errors import EXIT_BAD_INPUT, InputError
+from pepperscene.errors import InputError
 from pepperscene.learning.tasks.frames import PredictionFolder
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, has_bands, partial_least_squares
 from pepperscene.learning.tasks.trait_task import (
@@ -180,12 +179,10 @@ def test_the_command_learns_from_the_training_plants(tmp_path):
     mine.mkdir()
     for index in (2, 3):
         np.save(mine / f"{index:06d}.npy", open_dataset(folder).image(index, "ripeness") + 0.1)
-    arguments = ["task", "ripeness", str(folder), "--baseline", "pls", "--predictions", str(mine)]
-    done = CliRunner().invoke(app, arguments)
+    done = run("task", "ripeness", folder, "--baseline", "pls", "--predictions", mine)
     assert done.exit_code == 0, done.output
     rows = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()[2:4]}
     assert rows["pls"] == ["6", "0.000", "0.000", "1.000"]
     assert rows["mine"][:3] == ["6", "0.100", "0.100"]
-    done = CliRunner().invoke(app, [*arguments[:3], "--baseline", "pri"])
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert "pri: needs a band from 526 to 536 nm" in done.stderr
+    error = rejected("task", "ripeness", folder, "--baseline", "pri")
+    assert "pri: needs a band from 526 to 536 nm" in error
