@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,9 @@ from pepperscene.learning.evaluation.measures import (
     intersection_over_union,
     mean_intersection_over_union,
 )
-from pepperscene.learning.options import TrainingOptions
+from pepperscene.learning.options import TrainingOptions, TrainingProgress
 from pepperscene.learning.tasks.frames import PredictionFolder, TaskFrames, TaskSplit, open_task_frames
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
-
-if TYPE_CHECKING:
-    from pepperscene.learning.options import TrainingProgress
 
 SENSOR_OUTPUTS: Final = ("colour", "class")
 """Outputs that the frames of a data set must have."""
@@ -38,7 +35,7 @@ TRAINING: Final = TrainingOptions(steps=300, size=(128, 128), width=320, precisi
 SegmentImage = Callable[[int, LabelledImage], NDArray[np.uint8]]
 """From the index of a frame and its image to class ids `(h, w)`."""
 
-OnTraining = Callable[[str, "TrainingProgress"], None]
+OnTraining = Callable[[str, TrainingProgress], None]
 
 
 @dataclass(frozen=True)

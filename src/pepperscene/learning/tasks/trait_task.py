@@ -235,7 +235,10 @@ def evaluate_trait(
     if trait not in TRAITS:
         raise ArgumentError("trait", f"must be {' or '.join(TRAITS)}, not {trait!r}")
     kind = TRAITS[trait]
-    folders = open_prediction_folders(predictions)
+    folders = [PredictionFolder(Path(path)) for path in predictions]
+    names = [one.name for one in folders]
+    if len(set(names)) < len(names):
+        raise ArgumentError("predictions", f"must have names of their own, not {', '.join(names)}")
     frames = open_task_frames(folder, (*BAND_INPUTS, kind.name), split)
     used = {} if methods is None and folders else methods
     bands_nm = _bands(frames.test)
@@ -291,12 +294,3 @@ def _frame_samples(
     if np.isnan(reflectance).any():
         raise InputError(path, "must have a reflectance in every band; it is nan where light is too weak")
     return organ_samples(index, reflectance, values, instances, classes == trait.organ, smallest_px)
-
-
-def open_prediction_folders(paths: Sequence[str | Path]) -> list[PredictionFolder]:
-    """Folders of predictions, whose names differ."""
-    folders = [PredictionFolder(Path(path)) for path in paths]
-    names = [folder.name for folder in folders]
-    if len(set(names)) < len(names):
-        raise ArgumentError("predictions", f"must have names of their own, not {', '.join(names)}")
-    return folders
