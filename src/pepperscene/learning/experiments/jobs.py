@@ -47,13 +47,7 @@ TIMES: Final = "times.json"
 
 @dataclass(frozen=True, eq=False)
 class NetworkTest:
-    """Images that test a network.
-
-    Attributes:
-        experiment: key of `TITLES`.
-        images: sets that are evaluated together.
-        classes: to which the network's are merged; None for its own.
-    """
+    """Sets that test a network together, in an experiment of `TITLES`, and the classes; None for its own."""
 
     experiment: str
     images: tuple[ImageSet, ...]

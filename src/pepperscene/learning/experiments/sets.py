@@ -41,13 +41,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class RecipeSource:
-    """A recipe whose frames are to be built.
-
-    Attributes:
-        name: of its folder among the sets.
-        recipe: with the files that it names.
-        frames: indices of the frames to build.
-    """
+    """A recipe, whose frames with these indices are to be built into a folder of this name."""
 
     name: str
     recipe: ResolvedRecipe
