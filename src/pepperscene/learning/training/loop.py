@@ -338,7 +338,10 @@ def read_log(file: Path) -> list[dict[str, Any]]:
     entries = []
     for line in read_file(file, "log").splitlines() if file.is_file() else ():
         with suppress(ValueError, TypeError):
-            entries.append(dict(parse_json(line)))
+            entry = dict(parse_json(line))
+            # Not a line with a number that JSON does not have.
+            _log_line(entry)
+            entries.append(entry)
     return [entry for entry in entries if isinstance(entry.get("step"), int)]
 
 
