@@ -6,12 +6,12 @@ import json
 
 import numpy as np
 import pytest
+from commands import rejected, run
+from PIL import Image
 from skimage.morphology import dilation, disk
 from toy_models import image_set
-from typer.testing import CliRunner
 
-from pepperscene.cli import app
-from pepperscene.errors import EXIT_BAD_INPUT, ArgumentError, InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import FRUIT_CLASSES, ClassTable, parse_shares
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
@@ -264,38 +264,24 @@ def test_a_training_writes_weights_frequencies_and_a_temperature(tmp_path):
 
 
 def test_the_command_line_takes_shares_and_folders(tmp_path):
-    from PIL import Image
-
     trained(Decision((1.0,) * 3, (0.9, 0.08, 0.02))).save(tmp_path / "model.safetensors")
     (tmp_path / "photos").mkdir()
     for number in range(2):
         pixels = np.random.default_rng(number).integers(0, 256, (24, 32, 3), np.uint8)
         Image.fromarray(pixels).save(tmp_path / "photos" / f"{number}.png")
 
-    def run(name, *options):
-        arguments = [
-            "predict",
-            tmp_path / "model.safetensors",
-            tmp_path / "photos",
-            "--out",
-            tmp_path / name,
-            *options,
-        ]
-        return CliRunner().invoke(app, [str(item) for item in arguments])
-
-    counts = []
+    predict, counts = ("predict", tmp_path / "model.safetensors", tmp_path / "photos", "--out"), []
     for number, share in enumerate(("0.001", "0.9")):
-        result = run(f"p{number}", "--prior", f"fruit={share}")
+        result = run(*predict, tmp_path / f"p{number}", "--prior", f"fruit={share}")
         assert result.exit_code == 0, result.output
         counts.append(np.mean(np.asarray(Image.open(tmp_path / f"p{number}" / "class" / "0.png")) == 1))
     assert counts[0] < counts[1]
-    assert run("p2", "--prior", tmp_path / "photos").exit_code == 0
-    for prior, message in (("fruit=7", "must be classes with shares"), ("nowhere", "nowhere")):
-        result = run("p3", "--prior", prior)
-        assert result.exit_code == EXIT_BAD_INPUT
-        assert message in result.stderr
-    result = run("p3", "--score", "0.5")
-    assert result.exit_code == EXIT_BAD_INPUT
-    assert "score: applies to the objects of a detector" in result.stderr
+    assert run(*predict, tmp_path / "p2", "--prior", tmp_path / "photos").exit_code == 0
+    for message, *options in (
+        ("must be classes with shares", "--prior", "fruit=7"),
+        ("nowhere", "--prior", "nowhere"),
+        ("score: applies to the objects of a detector", "--score", "0.5"),
+    ):
+        assert message in rejected(*predict, tmp_path / "p3", *options)
     assert not (tmp_path / "p3").exists()
     assert json.loads((tmp_path / "p0" / "classes.json").read_text())

@@ -6,18 +6,15 @@ import json
 
 import numpy as np
 import pytest
+from commands import rejected, run
 from object_set import paint_objects, write_objects
 from painted_bands import CLASSES, write_bands
 from PIL import Image
-from typer.testing import CliRunner
-
-from pepperscene.cli import app
-from pepperscene.errors import EXIT_BAD_INPUT
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
 coder = pytest.importorskip("pycocotools.mask", reason="the extra `export` installs pycocotools")
 
-from pepperscene.learning.evaluation.outlines import draw_outlines  # noqa: E402
+from pepperscene.learning.evaluation.predict import draw_outlines  # noqa: E402
 from pepperscene.learning.models import load_model  # noqa: E402
 
 # pycocotools 2.0.11 decodes masks in a way that NumPy 2 tolerates for now.
@@ -28,10 +25,6 @@ OPTIONS = (
     "--width", "0", "--learning-rate", "0.008", "--augmentation", "0", "--least-area", "20",
     "--validate", "70", "--precision", "float32",
 )  # fmt: skip
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +39,6 @@ def folders(tmp_path_factory):
     assert result.stdout == f"trained, step 70, AP50 {found:.3f} of the validation: {model}\n"
     assert f"AP50 {found:.3f}" in result.stderr
     return images, model
-
-
-def rejects(message, *arguments):
-    result = run(*arguments)
-    assert result.exit_code == EXIT_BAD_INPUT, result.output
-    assert result.stdout == ""
-    assert result.stderr.count("\n") == 1
-    assert message in result.stderr
 
 
 def test_evaluate_prints_average_precision_and_writes_files(folders, tmp_path):
@@ -120,7 +105,8 @@ def test_export_model_writes_onnx(folders, tmp_path):
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith(f"{file}: images of 64x48, at most ")
     assert file.is_file()
-    rejects("--size: must be width and height", "export-model", folders[1], "--out", file, "--size", "64")
+    error = rejected("export-model", folders[1], "--out", file, "--size", "64")
+    assert "--size: must be width and height" in error
 
 
 def test_model_cards_say_what_a_network_is_for(folders, tmp_path):
@@ -152,5 +138,5 @@ def test_rejects_what_does_not_suit_a_detector(folders, tmp_path):
         ("--model: must be small or efficientnet_lite0", "train", images, "--out", out, "--task", "detect",
          "--model", "deeplab_vgg16"),
     ):  # fmt: skip
-        rejects(message, *arguments)
+        assert message in rejected(*arguments)
     assert not out.exists()

@@ -89,28 +89,25 @@ def test_a_wrong_value_of_a_training_state_is_one_sentence(trained, tmp_path, ke
         read_state(tmp_path, trained.module, optimiser, {})
 
 
-def test_tiles_give_the_probabilities_of_the_whole_image(trained, monkeypatch):
-    colour = np.random.default_rng(0).integers(0, 256, (70, 1500, 3), np.uint8)
-    whole = trained.probabilities(colour)
-    monkeypatch.setattr(large_images, "MOST_WHOLE", 20_000)
-    monkeypatch.setattr(large_images, "TILE", 256)
-    tiled = np.full_like(whole, np.nan)
-    for (rows, columns), part in large_images.probability_parts(trained, colour):
-        tiled[:, rows, columns] = part
-    assert np.abs(tiled - whole).max() < 1e-6
-    assert (predict_classes(trained, colour) == whole.argmax(axis=0)).mean() > 0.9999
-
-
-def test_strips_give_the_probabilities_of_the_scaled_image(trained, monkeypatch):
-    colour = np.random.default_rng(1).integers(0, 256, (211, 307, 3), np.uint8)
-    model = TrainedModel(trained.module, MODEL, trained.classes, 64)
+@pytest.mark.parametrize(
+    ("shape", "width", "limits"),
+    [
+        ((70, 1500, 3), None, {"MOST_WHOLE": 20_000, "TILE": 256}),
+        ((211, 307, 3), 64, {"MOST_WHOLE": 1000, "_STRIP": 5000}),
+    ],
+    ids=["tiles", "strips of the scaled image"],
+)
+def test_parts_give_the_probabilities_of_the_whole_image(trained, monkeypatch, shape, width, limits):
+    colour = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    model = TrainedModel(trained.module, MODEL, trained.classes, width)
     whole = model.probabilities(colour)
-    monkeypatch.setattr(large_images, "MOST_WHOLE", 1000)
-    monkeypatch.setattr(large_images, "_STRIP", 5000)
-    strips = np.full_like(whole, np.nan)
+    for name, value in limits.items():
+        monkeypatch.setattr(large_images, name, value)
+    joined = np.full_like(whole, np.nan)
     for (rows, columns), part in large_images.probability_parts(model, colour):
-        strips[:, rows, columns] = part
-    assert np.abs(strips - whole).max() < 1e-6
+        joined[:, rows, columns] = part
+    assert np.abs(joined - whole).max() < 1e-6
+    assert (predict_classes(model, colour) == whole.argmax(axis=0)).mean() > 0.9999
 
 
 def test_an_image_that_would_be_enlarged_beyond_all_bounds_is_refused(trained):

@@ -7,11 +7,10 @@ import json
 import cv2
 import numpy as np
 import pytest
+from commands import rejected, run
 from task_sets import D435, paint_depth, painted_set
-from typer.testing import CliRunner
 
-from pepperscene.cli import app
-from pepperscene.errors import EXIT_BAD_INPUT, InputError
+from pepperscene.errors import InputError
 from pepperscene.learning.tasks import evaluate_depth
 from pepperscene.learning.tasks.depth_baselines import BASELINES
 from pepperscene.learning.tasks.depth_task import depth_regions, error_sums, errors_of_sums, organ_borders
@@ -140,14 +139,14 @@ def test_predictions_can_be_exr_in_metres_or_png_in_millimetres(folder, tmp_path
 
 def test_the_command_prints_a_table_of_baselines_and_predictions(folder, tmp_path):
     mine = write_predictions(folder, tmp_path / "mine", lambda depth: depth + 0.01)
-    arguments = ["task", "depth_completion", str(folder), "--baseline", "nearest", "--predictions", str(mine)]
-    done = CliRunner().invoke(app, arguments)
+    arguments = ("task", "depth_completion", folder, "--baseline", "nearest", "--predictions", mine)
+    done = run(*arguments)
     assert done.exit_code == 0, done.output
     lines = done.stdout.splitlines()
     assert lines[0].startswith("Depth completion: set, 2 frames, surfaces up to 1.5 m")
     row = next(line.split() for line in lines if line.startswith("mine") and " all " in line)
     assert row[:5] == ["mine", "all", "100.0", "10.0", "10.0"]
-    content = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
+    content = json.loads(run(*arguments, "--json").stdout)
     assert {score["method"] for score in content["scores"]} == {"sensor", "nearest", "mine"}
 
 
@@ -157,14 +156,12 @@ def test_a_function_of_the_user_is_scored(folder, tmp_path, monkeypatch):
         "import numpy as np\n\n\ndef fill(colour, sensor):\n    return np.nan_to_num(sensor, nan=0.5)\n"
         "\n\ndef fails(colour, sensor):\n    return sensor\n"
     )
-    words = ["task", "depth_completion", str(folder), "--allow-code", "--method"]
-    done = CliRunner().invoke(app, [*words, "own_depth:fill"])
+    words = ("task", "depth_completion", folder, "--allow-code", "--method")
+    done = run(*words, "own_depth:fill")
     assert done.exit_code == 0, done.output
     assert "own_depth:fill" in done.stdout
-    done = CliRunner().invoke(app, [*words, "own_depth:fails"])
-    assert done.exit_code == EXIT_BAD_INPUT
-    assert done.stderr.strip() == (
-        "error: own_depth:fails: must return a finite depth above 0 for each pixel that counts"
+    assert rejected(*words, "own_depth:fails") == (
+        "error: own_depth:fails: must return a finite depth above 0 for each pixel that counts\n"
     )
 
 
@@ -185,10 +182,7 @@ def test_bad_predictions_give_one_sentence(folder, tmp_path):
         )
     ):
         mine = write_predictions(folder, tmp_path / f"mine{number}", change, frames)
-        done = CliRunner().invoke(app, ["task", "depth_completion", str(folder), "--predictions", str(mine)])
-        assert done.exit_code == EXIT_BAD_INPUT
-        assert message in done.stderr
-        assert (done.stderr.count("\n"), done.stdout) == (1, "")
+        assert message in rejected("task", "depth_completion", folder, "--predictions", mine)
 
 
 def test_bad_requests_are_rejected(folder, tmp_path):
@@ -200,9 +194,7 @@ def test_bad_requests_are_rejected(folder, tmp_path):
         ("depth_completion", "nowhere: must be a folder of predictions", "--predictions", "nowhere"),
         ("depth_completion", "--split: must have a split 'test'", "--split", "train=1"),
     ]:
-        done = CliRunner().invoke(app, ["task", task, str(folder), *options])
-        assert done.exit_code == EXIT_BAD_INPUT, message
-        assert message in done.stderr
+        assert message in rejected("task", task, folder, *options)
 
 
 def test_a_frame_without_an_output_says_how_to_build_it(tmp_path):

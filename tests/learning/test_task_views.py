@@ -6,10 +6,9 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import run
 
 import pepperscene as ps
-from pepperscene.cli import app
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.frame import Frame
 from pepperscene.learning.tasks import view_task
@@ -182,14 +181,13 @@ def test_the_command_scores_a_function_of_the_user(tmp_path, monkeypatch):
         "    seen = place[list(state.taken)]\n"
         "    return int(abs(place[:, None] - seen).sum(axis=2).min(axis=1).argmax())\n"
     )
-    arguments = [
+    done = run(
         "task", "next_best_view", "barth2018", "--method", "own_planner:farthest", "--allow-code",
         "--baseline", "arc", "--views", "3", "--candidates", "8", "--box", "-400,400,-700,-300,500,1600",
         "--set", "cultivar=kaite_february", "--set", "row={plants_front=1, plants_back=0}",
         "--set", "plan={sets=1, rotations=1, frames=2}",
         "--set", "camera.width=120", "--set", "camera.height=90",
-    ]  # fmt: skip
-    done = CliRunner().invoke(app, arguments)
+    )  # fmt: skip
     assert done.exit_code == 0, done.output
     rows = {
         line.split()[0]: [float(cell) for cell in line.split()[1:]] for line in done.stdout.splitlines()[2:5]

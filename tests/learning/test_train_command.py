@@ -7,12 +7,10 @@ import threading
 
 import numpy as np
 import pytest
+from commands import rejected, run
 from painted_bands import CLASSES, write_bands
 from PIL import Image
-from typer.testing import CliRunner
 
-from pepperscene.cli import app
-from pepperscene.errors import EXIT_BAD_INPUT
 from pepperscene.learning.class_table import ClassTable
 
 torch = pytest.importorskip("torch", reason="the extra `learn` installs torch")
@@ -37,22 +35,15 @@ def rejects(tmp_path):
 
     def check(message, *arguments):
         out = tmp_path / "out"
-        command = ["train", *map(str, arguments), "--out", str(out)]
-        result = CliRunner().invoke(app, command)
-        assert result.exit_code == EXIT_BAD_INPUT, result.output
-        assert result.stdout == ""
-        assert result.stderr.startswith("error: ")
-        assert result.stderr.count("\n") == 1
-        assert message in result.stderr
+        assert message in rejected("train", *arguments, "--out", out)
         assert not out.exists()
 
     return check
 
 
 def test_trains_evaluates_and_predicts(bands, tmp_path):
-    out, run = tmp_path / "model", CliRunner().invoke
-    command = ["train", str(bands), "--validation", str(bands), "--out", str(out), "--classes", CLASSES]
-    result = run(app, [*command, *OPTIONS])
+    out = tmp_path / "model"
+    result = run("train", bands, "--validation", bands, "--out", out, "--classes", CLASSES, *OPTIONS)
     assert result.exit_code == 0, result.output
     model = load_model(out)
     quality = f"mean IoU {model.training['validation_mean_iou']:.3f} of the validation"
@@ -63,16 +54,16 @@ def test_trains_evaluates_and_predicts(bands, tmp_path):
     assert model.classes == ClassTable.parse(CLASSES)
     assert (model.model, model.width) == ("small,width=0.3", None)
 
-    result = run(app, ["evaluate", str(out), str(bands)])
+    result = run("evaluate", out, bands)
     assert result.exit_code == 0, result.output
     assert "IoU: bands, 3 of 3 images" in result.stdout
-    result = run(app, ["predict", str(out), str(bands), "--out", str(tmp_path / "predicted")])
+    result = run("predict", out, bands, "--out", tmp_path / "predicted")
     assert result.exit_code == 0, result.output
     assert len(list((tmp_path / "predicted" / "class").iterdir())) == 3
 
     # A second training starts from the first one, and scales images as that did.
-    command = ["train", str(bands), "--out", str(tmp_path / "next"), "--start", str(out)]
-    result = run(app, [*command, *(text for text in OPTIONS[2:] if text not in ("--width", "0"))])
+    options = (text for text in OPTIONS[2:] if text not in ("--width", "0"))
+    result = run("train", bands, "--out", tmp_path / "next", "--start", out, *options)
     assert result.exit_code == 0, result.output
     assert load_model(tmp_path / "next").classes == model.classes
     assert load_model(tmp_path / "next").width is None
@@ -134,8 +125,7 @@ def test_rejects_sets_without_labels_of_the_classes(rejects, bands, tmp_path):
 
 def test_an_interruption_keeps_the_last_checkpoint(bands, tmp_path):
     """Ctrl-C gives one line, which says how to go on; the resumed training ends as an undisturbed one."""
-    out, command = tmp_path / "model", ["train", str(bands), *OPTIONS, "--steps", "200"]
-    stop = threading.Event()
+    out, stop = tmp_path / "model", threading.Event()
 
     def interrupt():
         while not stop.is_set():
@@ -147,7 +137,7 @@ def test_an_interruption_keeps_the_last_checkpoint(bands, tmp_path):
     watcher = threading.Thread(target=interrupt)
     watcher.start()
     try:
-        result = CliRunner().invoke(app, [*command, "--out", str(out)])
+        result = run("train", bands, *OPTIONS, "--steps", "200", "--out", out)
     finally:
         stop.set()
         watcher.join()

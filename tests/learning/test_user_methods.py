@@ -6,9 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import rejected
 
-from pepperscene.cli import app
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.tasks import depth_task, view_task
 from pepperscene.user_code import import_callable, user_errors
@@ -48,25 +47,18 @@ def folder(tmp_path, monkeypatch):
     sys.modules.pop("evil_method", None)
 
 
-def run(*words):
-    return CliRunner().invoke(app, ["task", *words])
-
-
 @pytest.mark.parametrize("task", ["depth_completion", "next_best_view"])
 def test_a_method_needs_the_permission(folder, task):
-    result = run(task, "demo", "--method", "evil_method:leave")
-    assert result.exit_code == 2
-    assert "--method: the code of evil_method:leave runs only with --allow-code" in result.stderr
+    error = rejected("task", task, "demo", "--method", "evil_method:leave")
+    assert "--method: the code of evil_method:leave runs only with --allow-code" in error
     assert not (folder / "marker").exists()
 
 
 @pytest.mark.parametrize("end", ["raise SystemExit(7)", "raise GeneratorExit"])
 def test_a_module_that_exits_is_one_sentence(folder, end):
     (folder / "leaving_method.py").write_text(end)
-    result = run("depth_completion", "demo", "--method", "leaving_method:fill", "--allow-code")
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error: --method: leaving_method cannot be imported (")
-    assert result.stderr.count("\n") == 1
+    words = ("task", "depth_completion", "demo", "--method", "leaving_method:fill", "--allow-code")
+    assert rejected(*words).startswith("error: --method: leaving_method cannot be imported (")
 
 
 @pytest.mark.parametrize("name", ENDS)

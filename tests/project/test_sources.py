@@ -271,9 +271,7 @@ RECORDS = {
     "export/bop.py",  # plants are grown again only by the version that grew them
     "review/report/scene_view.py",  # as in bop
     "building/viewpoints/table.py",  # metadata of a table
-    "learning/experiments/run.py",
-    "learning/evaluation/outlines.py",
-    "learning/model_card.py",
+    "learning/evaluation/predict.py",
     "learning/models/onnx_export.py",
     "learning/models/trained_model.py",
     "learning/training/run.py",

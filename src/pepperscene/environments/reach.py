@@ -109,11 +109,6 @@ class Reach(crop.CropEnv):
         cosine = np.clip(crop.direction(self._turn) @ self._approach, -1.0, 1.0)
         return float(np.linalg.norm(self._cut - self._tip)), float(np.arccos(cosine))
 
-    def _is_at_cut(self) -> bool:
-        """Whether the stalk is between the blades, in the direction of the approach."""
-        distance, angle = self._gap()
-        return distance <= _CLOSE_M and angle <= _ALIGNED_RAD
-
     def _left(self) -> float:
         """The way that is left, metres."""
         return float(np.array([1.0, _ANGLE_M]) @ self._gap())
@@ -143,8 +138,6 @@ class Reach(crop.CropEnv):
             images = self._images(pose)
         distance, angle = self._gap()
         info = {"distance_m": distance, "angle_rad": angle, "touches": self._touches_so_far}
-        info |= {
-            "is_success": distance <= _CLOSE_M and angle <= _ALIGNED_RAD,
-            "target": self._target.instance,
-        }
+        info["is_success"] = distance <= _CLOSE_M and angle <= _ALIGNED_RAD
+        info["target"] = self._target.instance
         return {"state": unit_values(state), **images}, info

@@ -18,32 +18,21 @@ _MOST_BATCH: Final = 4096  # chosen: far beyond the batches of such networks
 _MOST_SEED: Final = 2**32 - 1  # chosen: seeds times steps fit into the 64 bits of torch's generator
 
 
-@dataclass(frozen=True)
-class ModelDefaults:
-    """The training that suits a model; the fields are those of `TrainingOptions`."""
+_NAMES: Final = ("steps", "batch", "learning_rate", "schedule", "balance", "lovasz")
+_OTHER: Final = MappingProxyType(dict(zip(_NAMES, (2000, 8, 1e-3, "cosine", 0.5, 1.0), strict=True)))
+"""Training of a model of the user's, unless options say otherwise. Chosen: as `small`, at half the rate."""
 
-    steps: int
-    batch: int
-    learning_rate: float
-    schedule: str
-    balance: float
-    lovasz: float
-
-
-MODELS: Final[Mapping[str, ModelDefaults]] = MappingProxyType(
+MODELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         # Chosen: 16,000 crops take less than half an hour on two cores.
-        "small": ModelDefaults(2000, 8, 2e-3, "cosine", 0.5, 1.0),
+        "small": {**_OTHER, "learning_rate": 2e-3},
         # Chosen: as `small`, at half the rate, so that weights learned on photographs change little.
-        "efficientnet_lite0": ModelDefaults(2000, 8, 1e-3, "cosine", 0.5, 1.0),
+        "efficientnet_lite0": _OTHER,
         # Section 2.8 of the paper.
-        "deeplab_vgg16": ModelDefaults(30_000, 10, 5e-5, "constant", 0.0, 0.0),
+        "deeplab_vgg16": dict(zip(_NAMES, (30_000, 10, 5e-5, "constant", 0.0, 0.0), strict=True)),
     }
 )
-"""Models of this package by name."""
-
-_OTHER: Final = ModelDefaults(2000, 8, 1e-3, "cosine", 0.5, 1.0)
-"""Training of a model of the user's, unless options say otherwise. Chosen: as `small`, at half the rate."""
+"""Models of this package by name, with the options of the training that suits them."""
 
 
 def model_name(model: str) -> str:
@@ -196,7 +185,7 @@ class TrainingOptions:
         Raises:
             ArgumentError: an option is not allowed.
         """
-        defaults = vars(MODELS.get(model_name(self.model), _OTHER))
+        defaults = MODELS.get(model_name(self.model), _OTHER)
         missing = {name: value for name, value in defaults.items() if getattr(self, name) is None}
         filled = replace(self, classes=str(self.table()), **missing)
         if filled.validate is None and filled.steps is not None:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES, bootstrap_weights
+from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.colour.comparison.tables import UNKNOWN, TextTable, format_estimate, format_tables
 from pepperscene.dataset.readers.image_set import ImageSet, LabelledImage
 from pepperscene.dataset.readers.torch_data import DetectionObjects
@@ -20,8 +20,8 @@ from pepperscene.learning.evaluation.average_precision import (
     average_precision,
     object_record,
 )
-from pepperscene.learning.evaluation.evaluate import OnProgress, check_sets, read_images
-from pepperscene.learning.evaluation.evaluation import EvaluatedSet
+from pepperscene.learning.evaluation.evaluate import OnProgress, colour_of, for_each_image, image_weights
+from pepperscene.learning.evaluation.evaluation import EvaluatedSet, describe_sets
 from pepperscene.learning.evaluation.measures import (
     ObjectMeasures,
     connected_objects,
@@ -33,7 +33,6 @@ from pepperscene.learning.models.trained_model import TrainedModel
 from pepperscene.learning.objects import labelled_objects, object_indices
 from pepperscene.learning.options import DECIDED_SCORE
 from pepperscene.libraries import import_library
-from pepperscene.review.report.data import evenly_spaced
 
 FORMAT: Final = "pepperscene detection 1"
 _MOST_IGNORED: Final = 0.5
@@ -112,10 +111,9 @@ class DetectionEvaluation:
             for item in self.classes
         ]
         heads = ("class", "objects", "boxes: AP", "AP50", "masks: AP", "AP50", "precision [95 %]", "recall")
-        parts = [f"{item.name}, {item.evaluated:,} of {item.available:,} images" for item in self.sets]
         note = f"precision and recall of masks from a score of {self.least_score:g} on, at an IoU of .5"
         area = f"objects below {self.least_area} pixels at the model's width are ignored"
-        return (TextTable(f"Objects, %: {'; '.join(parts)}", heads, tuple(rows), (note, area)),)
+        return (TextTable(f"Objects, %: {describe_sets(self.sets)}", heads, tuple(rows), (note, area)),)
 
     def format(self) -> str:
         """The table as plain text."""
@@ -155,46 +153,32 @@ def evaluate_detector(
     """
     model.check_task("detect")
     sets = (sets,) if isinstance(sets, ImageSet) else tuple(sets)
-    check_sets(sets, limit)
     table = model.classes if classes is None else classes
     merged = table.merging(model.classes)
-    positions = [evenly_spaced(len(item), len(item) if limit is None else limit) for item in sets]
-    total, done, number = sum(map(len, positions)), 0, 0
     truth: list[dict[str, Any]] = []
     found: list[dict[str, Any]] = []
-    weights, summaries = [], []
-    for images, chosen in zip(sets, positions, strict=True):
-        before = number
-        for _, image in read_images(images, chosen):
-            if image.classes is not None:
-                objects, ignored = _objects(images.name, image, model, table, regions)
-                assert image.colour is not None
-                detections = model.detections(image.colour)
-                own = [
-                    object_record(number, int(label), box, mask.astype(bool))
-                    for label, box, mask in zip(objects.labels, objects.boxes, objects.masks, strict=True)
-                ]
-                truth += own
-                found += _detected(detections, merged, number, own, ignored)
-                weights.append(bootstrap_weights(np.ascontiguousarray(image.colour).tobytes()))
-                number += 1
-            done += 1
-            if on_progress is not None:
-                on_progress(done, total)
-        if number == before:
-            raise InputError(images.name, "holds no image with a mask")
-        summaries.append(
-            EvaluatedSet(images.name, len(images), number - before, len(chosen) - number + before)
-        )
+    weights: list[NDArray[np.float64]] = []
 
+    def find(number: int, _position: int, image: LabelledImage) -> None:
+        colour = colour_of(image)
+        objects, ignored = _objects(sets[number].name, image, model, table, regions)
+        own = [
+            object_record(len(weights), int(label), box, mask.astype(bool))
+            for label, box, mask in zip(objects.labels, objects.boxes, objects.masks, strict=True)
+        ]
+        truth.extend(own)
+        found.extend(_detected(model.detections(colour), merged, len(weights), own, ignored))
+        weights.append(image_weights(image))
+
+    summaries = for_each_image(sets, limit, on_progress, find)
     # Measures by boxes and by masks, with the same objects.
-    boxes, _ = average_precision(truth, found, number, len(table), "bbox", least_score)
-    masks, counts = average_precision(truth, found, number, len(table), "segm", least_score)
+    boxes, _ = average_precision(truth, found, len(weights), len(table), "bbox", least_score)
+    masks, counts = average_precision(truth, found, len(weights), len(table), "segm", least_score)
     measured = zip(table.names, boxes, masks, counts, strict=True)
     results = tuple(
         DetectedClass(name, box, mask, measure_objects(count, weights)) for name, box, mask, count in measured
     )
-    return DetectionEvaluation(tuple(summaries), results, _least_area_of(model), least_score)
+    return DetectionEvaluation(summaries, results, _least_area_of(model), least_score)
 
 
 def _least_area_of(model: TrainedModel) -> int:
@@ -206,30 +190,19 @@ def _objects(
     name: str, image: LabelledImage, model: TrainedModel, table: ClassTable, regions: bool
 ) -> tuple[DetectionObjects, NDArray[np.bool_]]:
     """Labelled objects and ignored pixels of an image in a set of this name."""
-    if image.colour is None:
-        raise InputError(image.name, "has no colours, from which a model predicts")
     assert image.classes is not None
-    indices = object_indices(table, image.classes)
-    instances = _instances_of(image, indices, len(table), regions)
+    indices, instances = object_indices(table, image.classes), image.instances
+    if instances is None and regions:
+        instances = np.zeros(indices.shape, np.int32)
+        for index in range(len(table)):
+            region = connected_objects(indices == index)
+            instances[region > 0] = region[region > 0] + instances.max()
     if instances is None:
         problem = f"{image.name} has a mask without numbers of instances, with which detections are compared"
         raise InputError(name, f"{problem}; --regions takes connected regions as objects")
     # Areas are those of the network's image, whose pixels may be larger.
     factor = 1.0 if model.width is None else image.size[1] / model.width
     return labelled_objects(indices, instances, len(table), _least_area_of(model) * factor**2)
-
-
-def _instances_of(
-    image: LabelledImage, indices: NDArray[np.uint8], classes: int, regions: bool
-) -> NDArray[np.integer] | None:
-    """Numbers of the instances of an image; without any, of the connected regions of its classes if asked."""
-    if image.instances is not None or not regions:
-        return image.instances
-    numbers = np.zeros(indices.shape, np.int32)
-    for index in range(classes):
-        found = connected_objects(indices == index)
-        numbers[found > 0] = found[found > 0] + numbers.max()
-    return numbers
 
 
 def _detected(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -17,7 +17,6 @@ from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.evaluation import EvaluatedImage, EvaluatedSet, Evaluation
 from pepperscene.learning.evaluation.measures import (
-    ObjectCounts,
     confusion_matrix,
     count_objects,
     measure_classes,
@@ -31,8 +30,6 @@ OnProgress = Callable[[int, int], None]
 """Called after each image with the number of images done and of all."""
 
 _SAMPLED: Final = 4  # chosen: pixels between samples, whose classes are mostly the same
-
-_FIELDS: Final = ("colour", "classes", "instances")
 
 
 class Segmenter(Protocol):
@@ -168,7 +165,7 @@ def with_shares(
             np.tensordot(merging, probabilities, axes=1).reshape(len(table), -1)
             for images in shares
             for image in images.select("colour")
-            for _, probabilities in sampled_probabilities(model, _colour(image))
+            for _, probabilities in sampled_probabilities(model, colour_of(image))
         ]
         wanted = estimate_shares(np.concatenate(sampled, axis=1).T, frequencies)
     return replace(model, decision=model.decision.for_shares(wanted, merging))
@@ -191,14 +188,6 @@ def _named_shares(
     rest = frequencies[~is_named]
     named[~is_named] = (1 - total) * rest / max(rest.sum(), np.finfo(float).tiny)
     return named
-
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """An evaluated image and its weights in the bootstrap."""
-
-    image: EvaluatedImage
-    weights: NDArray[np.float64]
 
 
 def evaluate(
@@ -227,35 +216,31 @@ def evaluate(
             or the model's classes cannot be merged to `classes`.
     """
     sets = (sets,) if isinstance(sets, ImageSet) else tuple(sets)
-    check_sets(sets, limit)
     table = model.classes if classes is None else classes
     merging = None if classes is None else classes.merging(model.classes)
+    fruit = fruit_class(table)
+    images: list[EvaluatedImage] = []
+    weights = []
 
-    # Compare each image with its mask.
-    positions = [evenly_spaced(len(item), len(item) if limit is None else limit) for item in sets]
-    total, done = sum(map(len, positions)), 0
-    measured: list[_Measured] = []
-    summaries = []
-    for number, (images, chosen) in enumerate(zip(sets, positions, strict=True)):
-        before = len(measured)
-        for position, image in read_images(images, chosen):
-            if image.classes is not None:
-                measured.append(_measure_image(model, table, merging, image, (number, position)))
-            done += 1
-            if on_progress is not None:
-                on_progress(done, total)
-        evaluated = [item.image for item in measured[before:]]
-        _check_labels(images.name, evaluated, table)
-        count = len(evaluated)
-        summaries.append(EvaluatedSet(images.name, len(images), count, len(chosen) - count))
+    def compare(number: int, position: int, image: LabelledImage) -> None:
+        truth, prediction = label_image(model, table, merging, image)
+        matrix, objects = confusion_matrix(truth, prediction, len(table)), None
+        if fruit is not None:
+            void = truth == IGNORE_CLASS
+            objects = count_objects(truth == fruit, prediction == fruit, void, image.instances)
+        images.append(EvaluatedImage(number, position, image.name, matrix, objects))
+        weights.append(image_weights(image))
 
-    # Measures of the sums over the images.
-    weights = [item.weights for item in measured]
-    measures = measure_classes([item.image.matrix for item in measured], weights)
-    objects = [item.image.objects for item in measured if item.image.objects is not None]
-    fruit = measure_objects(objects, weights) if objects else None
-    evaluated_images = tuple(item.image for item in measured)
-    return Evaluation(table, tuple(summaries), evaluated_images, measures, fruit_class(table), fruit)
+    def check_labels(number: int) -> None:
+        if not any(image.matrix.any() for image in images if image.set_number == number):
+            names = ", ".join(table.names)
+            raise InputError(sets[number].name, f"has no labelled pixel of any of the classes {names}")
+
+    summaries = for_each_image(sets, limit, on_progress, compare, check_labels)
+    measures = measure_classes([image.matrix for image in images], weights)
+    objects = [image.objects for image in images if image.objects is not None]
+    fruits = measure_objects(objects, weights) if objects else None
+    return Evaluation(table, summaries, tuple(images), measures, fruit, fruits)
 
 
 def fruit_class(classes: ClassTable) -> int | None:
@@ -267,8 +252,26 @@ def fruit_class(classes: ClassTable) -> int | None:
     return classes.members.index(fruit) if fruit in classes.members else None
 
 
-def check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
-    """Raise an error if there is nothing to evaluate."""
+def for_each_image(
+    sets: Sequence[ImageSet],
+    limit: int | None,
+    on_progress: OnProgress | None,
+    evaluate_image: Callable[[int, int, LabelledImage], None],
+    end_set: Callable[[int], None] = lambda _number: None,
+) -> tuple[EvaluatedSet, ...]:
+    """Call a function with each image that has a mask, the number of its set and its position there.
+
+    Args:
+        sets: whose images are read, only with what evaluation needs.
+        limit: most images of each set, evenly spaced; None for all.
+        on_progress: called after each image.
+        evaluate_image: the function.
+        end_set: called with the number of each set after its images.
+
+    Raises:
+        ArgumentError: there is no set, or the limit is below 1.
+        InputError: a set is empty, or has no masks.
+    """
     if not sets:
         raise ArgumentError("sets", "must hold at least one set of images")
     if limit is not None and limit < 1:
@@ -276,29 +279,28 @@ def check_sets(sets: Sequence[ImageSet], limit: int | None) -> None:
     for images in sets:
         if not len(images):
             raise InputError(images.name, "holds no images")
+    positions = [evenly_spaced(len(item), len(item) if limit is None else limit) for item in sets]
+    total, done, summaries = sum(map(len, positions)), 0, []
+    for number, (images, chosen) in enumerate(zip(sets, positions, strict=True)):
+        selected, evaluated = images.select("colour", "classes", "instances"), 0
+        for position in chosen:
+            image = selected[position]
+            if image.classes is not None:
+                evaluate_image(number, position, image)
+                evaluated += 1
+            done += 1
+            if on_progress is not None:
+                on_progress(done, total)
+        if not evaluated:
+            raise InputError(images.name, "holds no image with a mask")
+        end_set(number)
+        summaries.append(EvaluatedSet(images.name, len(images), evaluated, len(chosen) - evaluated))
+    return tuple(summaries)
 
 
-def read_images(images: ImageSet, positions: Sequence[int]) -> Iterator[tuple[int, LabelledImage]]:
-    """The images at these positions, of which only what evaluation needs is read."""
-    selected = images.select(*_FIELDS)
-    for position in positions:
-        yield position, selected[position]
-
-
-def _measure_image(
-    model: Segmenter,
-    table: ClassTable,
-    merging: NDArray[np.float32] | None,
-    image: LabelledImage,
-    place: tuple[int, int],
-) -> _Measured:
-    """Evaluate one image that has a mask; `place` is the number of its set and its position there."""
-    truth, prediction = label_image(model, table, merging, image)
-    matrix = confusion_matrix(truth, prediction, len(table))
-    objects = _count_fruit(table, truth, prediction, image)
-    assert image.colour is not None
-    weights = bootstrap_weights(np.ascontiguousarray(image.colour).tobytes())
-    return _Measured(EvaluatedImage(*place, image.name, matrix, objects), weights)
+def image_weights(image: LabelledImage) -> NDArray[np.float64]:
+    """Weights of an image in the bootstrap."""
+    return bootstrap_weights(np.ascontiguousarray(colour_of(image)).tobytes())
 
 
 def label_image(
@@ -310,28 +312,11 @@ def label_image(
         InputError: the image has no colours.
     """
     assert image.classes is not None
-    return table.indices(image.classes), predict_classes(model, _colour(image), merging)
+    return table.indices(image.classes), predict_classes(model, colour_of(image), merging)
 
 
-def _colour(image: LabelledImage) -> NDArray[np.uint8]:
+def colour_of(image: LabelledImage) -> NDArray[np.uint8]:
     """Colours of an image; raises `InputError` if it has none."""
     if image.colour is None:
         raise InputError(image.name, "has no colours, from which a model predicts")
     return image.colour
-
-
-def _count_fruit(
-    table: ClassTable, truth: NDArray[np.uint8], prediction: NDArray[np.uint8], image: LabelledImage
-) -> ObjectCounts | None:
-    fruit = fruit_class(table)
-    if fruit is None:
-        return None
-    return count_objects(truth == fruit, prediction == fruit, truth == IGNORE_CLASS, image.instances)
-
-
-def _check_labels(name: str, images: Sequence[EvaluatedImage], table: ClassTable) -> None:
-    """Raise `InputError` if nothing in a set can be evaluated."""
-    if not images:
-        raise InputError(name, "holds no image with a mask")
-    if not any(image.matrix.any() for image in images):
-        raise InputError(name, f"has no labelled pixel of any of the classes {', '.join(table.names)}")

@@ -52,14 +52,7 @@ class EvaluatedImage:
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """One set of an evaluation.
-
-    Attributes:
-        name: of the set.
-        available: number of its images.
-        evaluated: number of those that were evaluated.
-        unlabelled: number of those that were chosen, but have no mask.
-    """
+    """Name of an evaluated set, and numbers of its images: all, evaluated, and chosen ones without a mask."""
 
     name: str
     available: int
@@ -169,11 +162,7 @@ class Evaluation:
         ]
         rows.append(("mean", format_estimate(measures.mean_iou, 1, 100.0), "", "", ""))
         heads = ("class", "IoU, % [95 %]", "precision, %", "recall, %", "share of pixels, %")
-        return TextTable(f"IoU: {self._describe_sets()}", heads, tuple(rows), self._notes())
-
-    def _describe_sets(self) -> str:
-        parts = [f"{item.name}, {item.evaluated:,} of {item.available:,} images" for item in self.sets]
-        return "; ".join(parts)
+        return TextTable(f"IoU: {describe_sets(self.sets)}", heads, tuple(rows), self._notes())
 
     def _notes(self) -> tuple[str, ...]:
         """Lines below the first table: images without masks, absent classes, missing intervals."""
@@ -203,15 +192,18 @@ class Evaluation:
         if self.fruit is None:
             return ()
         counts = self.fruit.counts
-        numbers = (counts.truth, counts.predicted, counts.matched)
-        estimates = (self.fruit.precision, self.fruit.recall)
         row = (
-            *(f"{number:,}" for number in numbers),
-            *(format_estimate(item, 1, 100.0) for item in estimates),
+            *(f"{number:,}" for number in (counts.truth, counts.predicted, counts.matched)),
+            *(format_estimate(item, 1, 100.0) for item in (self.fruit.precision, self.fruit.recall)),
         )
         heads = ("in masks", "predicted", "matched", "precision, % [95 %]", "recall, %")
         title = f"Fruit as objects of {SMALLEST_PX} pixels or more, matched at an IoU above {LEAST_IOU:g}"
         return (TextTable(title, heads, (row,)),)
+
+
+def describe_sets(sets: Sequence[EvaluatedSet]) -> str:
+    """Names of sets and numbers of their images, for a table's title."""
+    return "; ".join(f"{item.name}, {item.evaluated:,} of {item.available:,} images" for item in sets)
 
 
 def _format_share(share: float) -> str:

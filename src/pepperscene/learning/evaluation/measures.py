@@ -253,15 +253,11 @@ def measure_objects(counts: Sequence[ObjectCounts], weights: Sequence[NDArray[np
         sums.add([count.matched, count.truth, count.predicted], image_weights)
     totals = sums.totals()
     matched, truth, predicted = totals.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        precision, recall = matched / predicted, matched / truth
-    plain = [int(value) for value in totals[0]]
-    total = ObjectCounts(plain[0], plain[1], plain[2], sum(count.ignored for count in counts))
-    resampled = len(counts) > 1
+    plain, resampled = [int(value) for value in totals[0]], len(counts) > 1
     return ObjectMeasures(
-        total,
-        estimate_values(precision, resampled, "no object is predicted"),
-        estimate_values(recall, resampled, "the masks have no object"),
+        ObjectCounts(plain[0], plain[1], plain[2], sum(count.ignored for count in counts)),
+        estimate_values(_ratio(matched, predicted), resampled, "no object is predicted"),
+        estimate_values(_ratio(matched, truth), resampled, "the masks have no object"),
     )
 
 

@@ -31,12 +31,7 @@ PAGE_NAME: Final = "evaluation.html"
 
 @dataclass(frozen=True)
 class EvaluationFiles:
-    """The files of an evaluation.
-
-    Attributes:
-        data: the JSON file.
-        page: the HTML file.
-    """
+    """The files of an evaluation, JSON and HTML."""
 
     data: Path
     page: Path
@@ -69,23 +64,17 @@ def write_evaluation(
     names = tuple(item.name for item in evaluation.sets)
     if tuple(images.name for images in sets) != names:
         raise InputError("sets", f"must be the evaluated ones: {', '.join(names)}")
-    page = _page_html(evaluation, model, sets)
-    content = {JSON_NAME: canonical_json(evaluation.to_json()), PAGE_NAME: page.encode()}
-    return EvaluationFiles(*write_files(folder, content))
-
-
-def _page_html(
-    evaluation: Evaluation | DetectionEvaluation, model: Segmenter, sets: Sequence[ImageSet]
-) -> str:
-    images = []
+    examples = []
     if isinstance(evaluation, Evaluation):
         mean_iou = np.array([image.mean_iou for image in evaluation.images])
-        images = [
+        examples = [
             _image_panels(word, evaluation.images[at], evaluation.classes, model, sets)
             for word, at in ranked_examples(mean_iou)
         ]
-    title = f"Evaluation on {', '.join(item.name for item in evaluation.sets)}"
-    return render_page("evaluation.html", title, tables=evaluation.tables(), images=images)
+    title = f"Evaluation on {', '.join(names)}"
+    page = render_page("evaluation.html", title, tables=evaluation.tables(), images=examples)
+    content = {JSON_NAME: canonical_json(evaluation.to_json()), PAGE_NAME: page.encode()}
+    return EvaluationFiles(*write_files(folder, content))
 
 
 def _image_panels(

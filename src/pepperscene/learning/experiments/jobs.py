@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +18,7 @@ from pepperscene.learning.evaluation.evaluate import evaluate
 from pepperscene.learning.experiments.sets import ExperimentSets
 from pepperscene.learning.models.trained_model import TrainedModel, load_model
 from pepperscene.learning.options import ExperimentOptions, TrainingOptions, TrainingProgress
-from pepperscene.learning.training.loop import LOG_FILE
+from pepperscene.learning.training.loop import LOG_FILE, read_log
 from pepperscene.learning.training.run import train
 from pepperscene.user_files import read_file
 
@@ -48,13 +47,7 @@ TIMES: Final = "times.json"
 
 @dataclass(frozen=True, eq=False)
 class NetworkTest:
-    """Images that test a network.
-
-    Attributes:
-        experiment: key of `TITLES`.
-        images: sets that are evaluated together.
-        classes: to which the network's are merged; None for its own.
-    """
+    """Sets that test a network together, in an experiment of `TITLES`, and the classes; None for its own."""
 
     experiment: str
     images: tuple[ImageSet, ...]
@@ -86,10 +79,10 @@ class NetworkJob:
     start: str | Path | None = None
     tests: tuple[NetworkTest, ...] = ()
 
-    def describe(self) -> str:
-        """Seed, fold and experiment in words."""
+    def describe(self, experiment: str) -> str:
+        """Seed, fold and an experiment in words."""
         fold = "" if self.fold is None else f", fold {self.fold}"
-        return f"seed {self.seed}{fold}, experiment {self.experiment}"
+        return f"seed {self.seed}{fold}, experiment {experiment}"
 
 
 def schedule_jobs(
@@ -101,19 +94,20 @@ def schedule_jobs(
     for seed in range(1, options.seeds + 1):
         synthetic = _synthetic_jobs(sets, options, classes, seed)
         jobs += synthetic
-        start = other if isinstance(other, Path) else None
+        unrelated: str | Path | None = other if isinstance(other, Path) else None
         if isinstance(other, ImageSet):
-            unrelated = NetworkJob(
-                f"seed{seed}_D_start", "D start", seed, None, options.synthetic(seed), (other,)
-            )
-            jobs.append(unrelated)
-        for fold in range(1, len(sets.folds) + 1):
+            unrelated = f"seed{seed}_D_start"
+            jobs.append(NetworkJob(unrelated, "D start", seed, None, options.synthetic(seed), (other,)))
+        for fold, split in enumerate(sets.folds, start=1):
             scratch, fine = options.from_scratch(seed, fold), options.fine_tuning(seed, fold)
-            jobs.append(_real_job("C", sets, classes, seed, fold, scratch, None))
-            if other is not None:
-                origin = start or unrelated.name
-                jobs.append(_real_job("D", sets, classes, seed, fold, fine, origin))
-            jobs.append(_real_job("E", sets, classes, seed, fold, fine, synthetic[-1].name))
+            train, test = (sets.real.take(split.train),), (sets.real.take(split.test),)
+            validation = (sets.real.take(split.validation),) if split.validation else ()
+            starts = {"C": None, "D": unrelated, "E": synthetic[-1].name}
+            for key, start in starts.items():
+                if key == "C" or start is not None:
+                    name, training = f"seed{seed}_fold{fold}_{key}", scratch if key == "C" else fine
+                    tests = (NetworkTest(key, test, classes),)
+                    jobs.append(NetworkJob(name, key, seed, fold, training, train, validation, start, tests))
     return tuple(jobs)
 
 
@@ -126,17 +120,11 @@ def _synthetic_jobs(
     on_real = NetworkTest("B", (sets.real.take(tested),), classes)
     training = options.synthetic(seed)
 
-    def job(experiment: str, trained: TrainingOptions, *tests: NetworkTest) -> NetworkJob:
-        return NetworkJob(
-            f"seed{seed}_{experiment}",
-            experiment,
-            seed,
-            None,
-            trained,
-            tuple(item.part("train") for item in sets.synthetic),
-            tuple(item.part("validation") for item in sets.synthetic),
-            tests=tests,
-        )
+    train = tuple(item.part("train") for item in sets.synthetic)
+    validation = tuple(item.part("validation") for item in sets.synthetic)
+
+    def job(key: str, trained: TrainingOptions, *tests: NetworkTest) -> NetworkJob:
+        return NetworkJob(f"seed{seed}_{key}", key, seed, None, trained, train, validation, tests=tests)
 
     if classes.members == ClassTable.organs().members:
         return [job("A", training, NetworkTest("A", synthetic), on_real)]
@@ -147,39 +135,12 @@ def _synthetic_jobs(
     ]
 
 
-def _real_job(
-    experiment: str,
-    sets: ExperimentSets,
-    classes: ClassTable,
-    seed: int,
-    fold: int,
-    options: TrainingOptions,
-    start: str | Path | None,
-) -> NetworkJob:
-    """A network that is trained on the photographs of a fold and tested on its others."""
-    split = sets.folds[fold - 1]
-    return NetworkJob(
-        f"seed{seed}_fold{fold}_{experiment}",
-        experiment,
-        seed,
-        fold,
-        options,
-        (sets.real.take(split.train),),
-        (sets.real.take(split.validation),) if split.validation else (),
-        start,
-        (NetworkTest(experiment, (sets.real.take(split.test),), classes),),
-    )
-
-
 class JobRunner:
     """Trains and tests networks in a folder.
 
     Args:
-        out: the folder.
-        jobs: all of them, in order.
         training: options that all jobs share: the device, and whether a `module:factory` may be called.
-        on_message: called with a line about what is being done, and whether it is one of many that can be
-            left out.
+        on_message: as of `run_experiments`.
     """
 
     def __init__(
@@ -218,7 +179,7 @@ class JobRunner:
 
     def log(self, job: NetworkJob) -> list[dict[str, Any]]:
         """Loss and validations of a training."""
-        return _read_log(self.folder(job) / LOG_FILE)
+        return read_log(self.folder(job) / LOG_FILE)
 
     def times(self) -> dict[str, float]:
         """Seconds that each training and test took."""
@@ -228,20 +189,20 @@ class JobRunner:
     def is_trained(self, job: NetworkJob) -> bool:
         """Whether the training of a job has taken its last step."""
         log = self.log(job)
-        return bool(log) and log[-1].get("step") == job.options.steps
+        return bool(log) and log[-1]["step"] == job.options.steps
 
     def _train(self, job: NetworkJob) -> None:
         start = job.start if not isinstance(job.start, str) else self._out / TRAININGS / job.start
-        begin = time.monotonic()
+        begin, name = time.monotonic(), job.describe(job.experiment)
 
         def report(progress: TrainingProgress) -> None:
             seconds = f"{_duration(progress.left_s)} left"
             later = (self._left - self._images[job.name]) / max(progress.images_per_s, 1e-9)
             total = f", {_duration(progress.left_s + later)} for all trainings" if later > 0 else ""
-            text = f"{job.describe()}: step {progress.step:,} of {progress.steps:,}, {seconds}{total}"
+            text = f"{name}: step {progress.step:,} of {progress.steps:,}, {seconds}{total}"
             self._on_message(text, progress.step < progress.steps)
 
-        self._on_message(f"{job.describe()}: training", False)
+        self._on_message(f"{name}: training", False)
         try:
             train(
                 job.images,
@@ -257,8 +218,7 @@ class JobRunner:
         self._left -= self._images[job.name]
 
     def _evaluate(self, job: NetworkJob, test: NetworkTest) -> None:
-        name = f"seed {job.seed}" + ("" if job.fold is None else f", fold {job.fold}")
-        name += f", experiment {test.experiment}"
+        name = job.describe(test.experiment)
         self._on_message(f"{name}: testing on {sum(map(len, test.images)):,} images", False)
         begin = time.monotonic()
         evaluation = evaluate(
@@ -299,13 +259,3 @@ def _read_json(file: Path) -> dict[str, Any]:
     if not isinstance(content, Mapping):
         raise InputError(file, "is damaged; remove it to test the network again")
     return dict(content)
-
-
-def _read_log(file: Path) -> list[dict[str, Any]]:
-    """Complete lines of the log of a training; none if there is no log."""
-    lines = []
-    if file.is_file():
-        for line in read_file(file, "log").splitlines():
-            with suppress(ValueError, TypeError):
-                lines.append(dict(parse_json(line)))
-    return lines

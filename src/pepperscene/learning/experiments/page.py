@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+import base64
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from pepperscene.dataset.readers.image_set import ImageSet
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.evaluation.evaluate import label_image
-from pepperscene.learning.experiments.charts import COLOURS, Bar, Chart, TrainingCurve, bar_chart, curve_chart
 from pepperscene.learning.experiments.jobs import MERGED, JobRunner, NetworkJob
 from pepperscene.learning.experiments.results import ExperimentResult
 from pepperscene.learning.pages import (
@@ -22,35 +25,30 @@ from pepperscene.learning.pages import (
 )
 from pepperscene.review.report.colours import jpeg_data_uri, png_data_uri
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 _TITLE: Final = "Training on synthetic images, tested on photographs"
 _SHOWN: Final = ("B", "C", "D", "E")
+
+_COLOURS: Final = MappingProxyType(
+    {"A": "#8c8c8c", "B": "#e69f00", "C": "#56b4e9", "D": "#cc79a7", "E": "#009e73"}
+)
+"""Of experiments; apart from grey, those of Okabe and Ito, which colour-blind people can distinguish."""
+
+_DASHES: Final = ("solid", (0, (3, 1.5)), (0, (1, 1.5)), (0, (4, 1.5, 1, 1.5)))
 
 
 def experiments_page(
     content: Mapping[str, Any], pictures: Sequence[ImagePanels], times: Mapping[str, float]
 ) -> str:
-    """The page of a result of `run_experiments`.
-
-    Args:
-        content: of `experiments.json`.
-        pictures: photographs with predictions.
-        times: seconds of each training and test.
-    """
+    """The page of the content of `experiments.json`, with the seconds of each training and test."""
     by_key = {item["key"]: item for item in content["experiments"]}
     # A to E in common classes.
     results = {key: by_key[MERGED] if key == "A" and MERGED in by_key else by_key[key] for key in "ABCDE"}
     ran = {key: item for key, item in results.items() if item["ran"]}
     names = [measure["name"] for measure in next(iter(ran.values()))["measures"]]
-    groups = [
-        (
-            name,
-            [
-                Bar(key, *(item["measures"][at][part] for part in ("value", "low", "high")))
-                for key, item in ran.items()
-            ],
-        )
-        for at, name in enumerate(names)
-    ]
+    groups = [{key: item["measures"][at] for key, item in ran.items()} for at in range(len(names))]
     classes = ClassTable.parse(content["classes"])
     return render_page(
         "experiments.html",
@@ -60,9 +58,13 @@ def experiments_page(
         measured=names,
         result_rows=[_result_row(key, item, len(names)) for key, item in results.items()],
         missing=[(key, item["why"]) for key, item in results.items() if not item["ran"]],
-        bars=bar_chart("IoU by class and experiment, in percent", groups),
-        experiment_colours=[(COLOURS[key], f"{key}: {_short(item['title'])}") for key, item in ran.items()],
-        organ_rows=_organ_rows(by_key) if MERGED in by_key else [],
+        bars=_bar_chart("IoU by class and experiment, in percent", names, groups),
+        experiment_colours=[(_COLOURS[key], f"{key}: {_short(item['title'])}") for key, item in ran.items()],
+        # Experiment A in its own classes, where the others have fewer.
+        organ_rows=[
+            (measure["name"], *format_measure(measure).partition(" ± ")[::2])
+            for measure in (by_key["A"]["measures"] if MERGED in by_key else ())
+        ],
         classes=class_legend(classes, np.arange(len(classes), dtype=np.uint8)),
         images=pictures,
         curves=_curves(content["trainings"]),
@@ -135,12 +137,73 @@ def _result_row(key: str, item: Mapping[str, Any], columns: int) -> list[str]:
     return [name, f"{item['images']:,}", *map(format_measure, item["measures"])]
 
 
-def _organ_rows(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Experiment A in its own classes, where the others have fewer."""
-    return [
-        (measure["name"], *format_measure(measure).partition(" ± ")[::2])
-        for measure in results["A"]["measures"]
-    ]
+@dataclass(frozen=True)
+class Chart:
+    """An image of a chart, and its title for those who cannot see it."""
+
+    title: str
+    uri: str
+
+
+def _bar_chart(title: str, names: Sequence[str], groups: Sequence[Mapping[str, Mapping[str, Any]]]) -> Chart:
+    """IoU in percent: for each name, bars by experiment with intervals as lines and the value above."""
+
+    def draw(axes: Axes) -> None:
+        for number, measures in enumerate(groups):
+            width = 0.8 / len(measures)
+            for place, (key, measure) in enumerate(measures.items()):
+                middle = number + (place + 0.5) * width - 0.4
+                value, low, high = (measure[part] for part in ("value", "low", "high"))
+                label, top = "-", 0.0
+                if value is not None:
+                    top = 100 * value
+                    axes.bar(middle, top, 0.95 * width, color=_COLOURS[key])
+                    label = f"{top:.0f}"
+                    if low is not None and high is not None:
+                        axes.plot([middle, middle], [100 * low, 100 * high], color="#1a1a1a", linewidth=1)
+                        top = 100 * high
+                axes.annotate(
+                    label, (middle, top), (0, 2), textcoords="offset points", ha="center", fontsize=7
+                )
+        axes.set(xticks=range(len(groups)), xticklabels=names, ylim=(0, 105))
+        axes.set_yticks(range(0, 101, 20), [f"{tick}%" for tick in range(0, 101, 20)])
+        axes.grid(axis="y", color="#d9d9d9")
+
+    return _draw_chart(title, (11.2, 3.4), draw)
+
+
+def _curve_chart(
+    title: str, curves: Mapping[str, Sequence[tuple[float, float]]], y_label: str, colour: str
+) -> Chart:
+    """Lines through points over steps, from 0 upwards, whose names are in a legend."""
+
+    def draw(axes: Axes) -> None:
+        for number, (name, points) in enumerate(curves.items()):
+            x, y = zip(*points, strict=True)
+            dashes = _DASHES[number % len(_DASHES)]
+            axes.plot(x, y, color=colour, linestyle=dashes, label=name, marker=".", markevery=[0])
+        axes.set(xlabel="step", ylabel=y_label)
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+        axes.grid(axis="y", color="#d9d9d9")
+        axes.legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))
+
+    return _draw_chart(title, (5.4, 2.6), draw)
+
+
+def _draw_chart(title: str, size_in: tuple[float, float], draw: Callable[[Axes], None]) -> Chart:
+    """An image of axes whose content is drawn by `draw`; the same bytes in every run."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    buffer = io.BytesIO()
+    style = {"svg.hashsalt": title, "font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False}
+    with rc_context(style | {"axes.axisbelow": True}):
+        figure = Figure(figsize=size_in, layout="constrained")
+        draw(figure.add_subplot())
+        figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    content = base64.b64encode(buffer.getvalue()).decode()
+    return Chart(title, f"data:image/svg+xml;base64,{content}")
 
 
 def _curves(trainings: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Chart]]]:
@@ -149,20 +212,17 @@ def _curves(trainings: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Char
     for key in sorted({training["experiment"] for training in trainings}):
         charts = []
         for field, label in (("loss", "loss"), ("mean_iou", "mean IoU of the validation")):
-            curves = [_curve(item, field) for item in trainings if item["experiment"] == key]
-            present = [curve for curve in curves if curve.x]
-            if present:
+            curves = {}
+            for item in trainings:
+                points = [(entry["step"], entry[field]) for entry in item["log"] if entry[field] is not None]
+                if points and item["experiment"] == key:
+                    fold = "" if item["fold"] is None else f" f{item['fold']}"
+                    curves[f"s{item['seed']}{fold}"] = points
+            if curves:
                 title = f"{label} of experiment {key} over steps"
-                charts.append(curve_chart(title, present, label, COLOURS[key[0]]))
+                charts.append(_curve_chart(title, curves, label, _COLOURS[key[0]]))
         groups.append((key, charts))
     return groups
-
-
-def _curve(training: Mapping[str, Any], field: str) -> TrainingCurve:
-    fold = "" if training["fold"] is None else f" f{training['fold']}"
-    points = [(entry["step"], entry[field]) for entry in training["log"] if entry[field] is not None]
-    name = f"s{training['seed']}{fold}"
-    return TrainingCurve(name, tuple(x for x, _ in points), tuple(y for _, y in points))
 
 
 def _image_lines(content: Mapping[str, Any]) -> list[str]:

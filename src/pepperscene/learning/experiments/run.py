@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-import torch
-
 from pepperscene.atomic import canonical_json, check_can_write, write_files, write_json
 from pepperscene.colour.comparison.bootstrap import LEVEL, REPLICATES
 from pepperscene.document import parse_json
-from pepperscene.errors import InputError, OutputError, short_repr
+from pepperscene.errors import InputError, OutputError
 from pepperscene.learning.class_table import ClassTable
 from pepperscene.learning.experiments.jobs import (
     MERGED,
@@ -37,9 +34,8 @@ from pepperscene.learning.models.registry import build_model
 from pepperscene.learning.models.trained_model import load_model
 from pepperscene.learning.options import ExperimentOptions, is_built_in
 from pepperscene.learning.training.checkpoint import first_difference
-from pepperscene.learning.training.run import describe_images
+from pepperscene.learning.training.run import describe_images, used_versions
 from pepperscene.user_files import read_file
-from pepperscene.version import __version__
 
 JSON_NAME: Final = "experiments.json"
 PAGE_NAME: Final = "experiments.html"
@@ -51,13 +47,7 @@ _DIFFERENCES: Final = (("E", "C"), ("B", "C"), ("E", "B"), ("D", "C"), ("E", "D"
 
 @dataclass(frozen=True)
 class ExperimentFiles:
-    """Files and result of the experiments.
-
-    Attributes:
-        data: the JSON file.
-        page: the HTML file.
-        content: of the JSON file.
-    """
+    """Files of the experiments: JSON and HTML, and the content of the JSON file."""
 
     data: Path
     page: Path
@@ -145,11 +135,8 @@ def _claim_folder(folder: Path, settings: Mapping[str, Any]) -> None:
         found = parse_json(content)
     except ValueError:
         raise InputError(file, "is damaged; choose another folder") from None
-    difference = first_difference(found, current)
-    if difference is not None:
-        key, there, here = difference
-        problem = f"{key} is {short_repr(there)} there and {short_repr(here)} here; choose another folder"
-        raise InputError(file, f"is of other experiments: {problem}")
+    if difference := first_difference(found, current):
+        raise InputError(file, f"is of other experiments: {difference}; choose another folder")
 
 
 def _collect(jobs: Sequence[NetworkJob], runner: JobRunner) -> dict[str, ExperimentResult]:
@@ -201,7 +188,7 @@ def _content(
         },
         "other": sources.describe()["other"],
         "trainings": [_training_json(job, runner) for job in jobs],
-        "versions": {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__},
+        "versions": used_versions(),
     }
 
 

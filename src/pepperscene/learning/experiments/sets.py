@@ -21,6 +21,7 @@ from pepperscene.learning.experiments.splits import (
     real_folds,
     split_synthetic,
 )
+from pepperscene.learning.models.trained_model import MODEL_FILE
 from pepperscene.learning.options import ExperimentOptions
 from pepperscene.learning.training.run import describe_images
 from pepperscene.recipe.plan import Plan
@@ -31,7 +32,6 @@ from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 OUTPUTS: Final = ("colour", "class")
 """Of the frames that are built: all that training and evaluation read."""
 
-_MODEL_FILE: Final = "model.safetensors"
 _GOLDEN_RATIO: Final = 0.6180339887498949
 _FRAMES_OF_SCENE: Final = 10  # chosen: by then, rendering takes most of the time
 _LEAST_SCENES: Final = 20  # chosen: plants differ less than views
@@ -41,13 +41,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class RecipeSource:
-    """A recipe whose frames are to be built.
-
-    Attributes:
-        name: of its folder among the sets.
-        recipe: with the files that it names.
-        frames: indices of the frames to build.
-    """
+    """A recipe, whose frames with these indices are to be built into a folder of this name."""
 
     name: str
     recipe: ResolvedRecipe
@@ -84,7 +78,14 @@ class Sources:
             item.describe() if isinstance(item, RecipeSource) else describe_images(item)
             for item in self.synthetic
         ]
-        return {"synthetic": synthetic, "real": describe_images(self.real), "other": _describe_other(self)}
+        other: dict[str, Any] | None = None
+        if isinstance(self.other, ImageSet):
+            other = {"kind": "set", **describe_images(self.other)}
+        elif self.other is not None:
+            file = self.other / MODEL_FILE if self.other.is_dir() else self.other
+            digest = file_digest(file, "weights")
+            other = {"kind": "model", "name": self.other.resolve().name, "sha256": digest}
+        return {"synthetic": synthetic, "real": describe_images(self.real), "other": other}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +102,7 @@ class SplitSet:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentSets:
-    """All images of the experiments.
-
-    Attributes:
-        synthetic: sets with their splits.
-        real: photographs.
-        folds: of the photographs.
-    """
+    """All images of the experiments: synthetic sets, photographs, and the folds of these."""
 
     synthetic: tuple[SplitSet, ...]
     real: ImageSet
@@ -121,14 +116,7 @@ def find_sources(
     other: str | Path | None = None,
     labels: str | None = None,
 ) -> Sources:
-    """Open the sets and load the recipes that the user names.
-
-    Args:
-        recipes: names or files of recipes, or folders of sets.
-        real: folder of photographs with masks, in any layout.
-        options: number and size of the frames to build, and whether the code of recipes may run.
-        other: trained model or set that is not related.
-        labels: meaning of the masks of folders without a `classes.toml`.
+    """Open the sets and load the recipes that the user names; arguments are those of `run_experiments`.
 
     Raises:
         InputError: a recipe or a set is missing or not valid, or no photograph has a mask.
@@ -137,7 +125,9 @@ def find_sources(
     if not recipes:
         raise InputError("recipes", "must name at least one recipe or set")
     places = [Path(text) for text in recipes if _is_set(Path(text))]
-    is_model = other is not None and _is_model(Path(other))
+    is_model = other is not None and (
+        Path(other).suffix == ".safetensors" or (Path(other) / MODEL_FILE).is_file()
+    )
     further = [] if other is None or is_model else [Path(other)]
     targets = label_targets([*places, Path(real), *further])
     applied = [labels if target else None for target in targets]
@@ -203,21 +193,8 @@ def _spread(items: Sequence[Item], count: int) -> list[Item]:
     ]
 
 
-def _describe_other(sources: Sources) -> dict[str, Any] | None:
-    if sources.other is None:
-        return None
-    if isinstance(sources.other, ImageSet):
-        return {"kind": "set", **describe_images(sources.other)}
-    file = sources.other / _MODEL_FILE if sources.other.is_dir() else sources.other
-    return {"kind": "model", "name": sources.other.resolve().name, "sha256": file_digest(file, "weights")}
-
-
 def _is_set(path: Path) -> bool:
     return path.is_dir() or (path.suffix == ".json" and path.is_file())
-
-
-def _is_model(path: Path) -> bool:
-    return path.suffix == ".safetensors" or (path / _MODEL_FILE).is_file()
 
 
 def _open(path: Path, half: str, labels: str | None) -> ImageSet:

@@ -35,9 +35,7 @@ class Split:
 def split_synthetic(images: ImageSet, *, as_paper: bool = False) -> Split:
     """Split a synthetic set so that no plant is in two parts, where the set says which plants it shows.
 
-    Args:
-        images: a set in any layout.
-        as_paper: whether to use the paper's numbers of images, for the published data set.
+    With `as_paper`, the published data set is split by the paper's numbers of images.
 
     Raises:
         InputError: the set has fewer than three images.
@@ -58,18 +56,14 @@ def split_synthetic(images: ImageSet, *, as_paper: bool = False) -> Split:
     tenth = max(1, round(len(numbers) / 10))
     parts = (numbers[: -2 * tenth], numbers[-tenth:], numbers[-2 * tenth : -tenth])
     train, validation, test = (_positions(plants, part) for part in parts)
-    rule = (
-        f"{len(parts[0])} sets of plants train, {tenth} test and {tenth} validate; no plant is in two of them"
-    )
-    return Split(train, validation, test, rule)
+    rule = f"{len(parts[0])} sets of plants train, {tenth} test and {tenth} validate"
+    return Split(train, validation, test, f"{rule}; no plant is in two of them")
 
 
 def real_folds(images: ImageSet, *, as_paper: bool = False) -> tuple[Split, ...]:
     """Folds of photographs: each half of the images tests networks that were trained on the other half.
 
-    Args:
-        images: photographs with masks.
-        as_paper: whether to use the paper's numbers of images, for the published data set: one fold.
+    With `as_paper`, the published data set has one fold of the paper's numbers of images.
 
     Raises:
         InputError: there are fewer than two images.
@@ -79,11 +73,9 @@ def real_folds(images: ImageSet, *, as_paper: bool = False) -> tuple[Split, ...]
     count = len(images)
     if count < 2:
         raise InputError(images.name, f"must hold two images with masks or more, not {count}")
-    halves = tuple(range(count // 2)), tuple(range(count // 2, count))
+    first, second = tuple(range(count // 2)), tuple(range(count // 2, count))
     rule = "two folds: the first half of the images trains and the second half tests, and the other way round"
-    return tuple(
-        Split(train, (), test, rule) for train, test in ((halves[0], halves[1]), (halves[1], halves[0]))
-    )
+    return Split(first, (), second, rule), Split(second, (), first, rule)
 
 
 def has_paper_numbers(synthetic: ImageSet, real: ImageSet) -> bool:
@@ -119,13 +111,8 @@ def plant_sets(images: ImageSet) -> tuple[int, ...] | None:
 
 
 def _split_frames(count: int, why: str) -> Split:
-    tenth = max(1, round(count / 10))
-    parts = (
-        range(count - 2 * tenth),
-        range(count - tenth, count),
-        range(count - 2 * tenth, count - tenth),
-    )
-    train, validation, test = (tuple(part) for part in parts)
+    frames, tenth = tuple(range(count)), max(1, round(count / 10))
+    train, test, validation = frames[: -2 * tenth], frames[-2 * tenth : -tenth], frames[-tenth:]
     rule = f"the set {why}, so that frames are split: {len(train)} train, {tenth} test and {tenth} validate"
     return Split(train, validation, test, f"{rule}; the same plants may be in all three")
 

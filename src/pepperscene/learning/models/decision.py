@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Final, Self, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,10 @@ _CHANGE: Final = 1e-7  # chosen: change of the shares at which the steps end
 class DecisionDescription(Document):
     """Of a model file: see `Decision`."""
 
-    weights: list[Annotated[FiniteFloat, Field(strict=True, gt=0)]]
-    frequencies: list[Annotated[FiniteFloat, Field(strict=True, ge=0, le=1)]]
+    weights: tuple[Annotated[FiniteFloat, Field(strict=True, gt=0)], ...]
+    frequencies: tuple[Annotated[FiniteFloat, Field(strict=True, ge=0, le=1)], ...]
     temperature: Annotated[FiniteFloat, Field(strict=True, ge=TEMPERATURES[0], le=TEMPERATURES[1])] = 1.0
-    factors: list[Annotated[FiniteFloat, Field(strict=True, gt=0)]]
+    factors: tuple[Annotated[FiniteFloat, Field(strict=True, gt=0)], ...]
 
 
 @final
@@ -90,6 +90,10 @@ class Decision:
         """Probabilities of the classes, which are in the last dimension but two, of logits."""
         shift = logits.new_tensor(self.shift)[:, None, None]
         return (logits / self.temperature + shift).softmax(dim=-3)
+
+    def description(self) -> dict[str, Any]:
+        """What is learned, as JSON values; the rest belongs to the images that are predicted."""
+        return {name: getattr(self, name) for name in DecisionDescription.model_fields}
 
     def for_shares(self, shares: Sequence[float] | Floats, merging: NDArray[np.float32]) -> Self:
         """The decision for images with these shares of merged classes `(n,)`.

@@ -60,16 +60,7 @@ def without_initial_weights(model: str) -> str:
 
 
 def _find_factory(name: str, allow_code: bool) -> Callable[..., Any]:
-    if name in MODELS:
-        return _built_in_factory(name)
-    module, _, attribute = name.partition(":")
-    if not module or not attribute:
-        raise ArgumentError("model", f"must be {', '.join(MODELS)} or module:factory, not {name!r}")
-    return import_callable(name, "model", allow_code=allow_code)
-
-
-def _built_in_factory(name: str) -> Callable[..., nn.Module]:
-    """The class of a model of this package."""
+    """The class of a model of this package, or the callable that the user names."""
     if name == "small":
         from pepperscene.learning.models.small import SmallNetwork
 
@@ -78,9 +69,14 @@ def _built_in_factory(name: str) -> Callable[..., nn.Module]:
         from pepperscene.learning.models.efficientnet import EfficientNetLite0
 
         return EfficientNetLite0
-    from pepperscene.learning.models.deeplab import DeepLab
+    if name == "deeplab_vgg16":
+        from pepperscene.learning.models.deeplab import DeepLab
 
-    return DeepLab
+        return DeepLab
+    module, _, attribute = name.partition(":")
+    if not module or not attribute:
+        raise ArgumentError("model", f"must be {', '.join(MODELS)} or module:factory, not {name!r}")
+    return import_callable(name, "model", allow_code=allow_code)
 
 
 def _parse_options(model: str, options: list[str], name: str, factory: Callable[..., Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
 from pepperscene.atomic import write_file
 from pepperscene.document import Document, validate
@@ -36,7 +36,6 @@ _MOST_DETECTED: Final = 12_500_000  # chosen: pixels of a photograph of 4096 x 3
 
 
 _Text = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
-_Count = Annotated[int, Field(strict=True, ge=0, lt=2**63)]
 
 
 class ModelDescription(Document):
@@ -50,23 +49,6 @@ class ModelDescription(Document):
     decision: DecisionDescription | None = None
     training: dict[str, Any]
     task: Literal["segment", "detect"] = "segment"
-
-
-class StateDescription(Document):
-    """Of `state.safetensors`: see `TrainingState`."""
-
-    format: _Text
-    step: _Count
-    best: Annotated[FiniteFloat, Field(strict=True)] | None
-    best_step: _Count
-    record: dict[str, Any]
-
-
-def check_description(
-    file: Path, description: Mapping[str, Any], kind: type[ModelDescription | StateDescription]
-) -> dict[str, Any]:
-    """The values of a description; raises `InputError` for the first that is missing or not allowed."""
-    return dict(validate(kind, description, file))
 
 
 @final
@@ -155,10 +137,14 @@ class TrainedModel:
     def _network_input(self, colour: NDArray[np.uint8]) -> torch.Tensor:
         """What the network sees of an image: `(1, 3, h, w)`, 0 to 1, at its width."""
         import torch
+        from torch.nn import functional
 
         device = next(self.module.parameters()).device
         image = torch.from_numpy(np.array(colour)).to(device).permute(2, 0, 1)[None].float() / 255
-        return _scaled(image, self.width)
+        if self.width is None or image.shape[-1] == self.width:
+            return image
+        size = max(1, round(image.shape[-2] * self.width / image.shape[-1])), self.width
+        return functional.interpolate(image, size=size, mode="bilinear", align_corners=False, antialias=True)
 
     def to(self, device: str) -> Self:
         """The same network on another device."""
@@ -177,17 +163,11 @@ class TrainedModel:
             "classes": str(self.classes),
             "width": self.width,
             "version": __version__,
-            "decision": self._describe_decision(),
+            # Shares belong to the images that are predicted.
+            "decision": None if self.decision is None else self.decision.description(),
             "training": dict(self.training),
             **({} if self.task == "segment" else {"task": self.task}),
         }
-
-    def _describe_decision(self) -> dict[str, Any] | None:
-        """What is learned of the decision; shares belong to the images that are predicted."""
-        if self.decision is None:
-            return None
-        names = ("weights", "frequencies", "temperature", "factors")
-        return {name: getattr(self.decision, name) for name in names}
 
 
 def require_torch() -> None:
@@ -247,48 +227,36 @@ def load_model(path: str | Path, *, factory: str | None = None, allow_code: bool
     file = file / MODEL_FILE if file.is_dir() else file
     if not file.is_file():
         raise InputError(file, "does not exist; `pepperscene train` writes it")
-    tensors, description = read_weights(file, FORMAT)
-    description = check_description(file, description, ModelDescription)
+    tensors, content = read_weights(file, FORMAT)
+    description = validate(ModelDescription, content, file)
     try:
-        task = description["task"]
-        classes = parse_classes(task, description["classes"])
-        width, training = description["width"], description["training"]
-        recorded = without_initial_weights(description["model"])
+        classes = parse_classes(description.task, description.classes)
     except ArgumentError as error:
         raise InputError(file, error.problem, key=error.where) from None
-    if not is_built_in(recorded) and factory is None:
-        raise _unknown_model(file, recorded)
-    model = recorded if is_built_in(recorded) or factory is None else factory
+    recorded = model = without_initial_weights(description.model)
+    if not is_built_in(recorded):
+        if factory is None:
+            problem = f"is none of {', '.join(MODELS)}; a network of your own needs --factory module:name"
+            problem += " and --allow-code (in Python, factory= and allow_code=)"
+            raise InputError(file, problem, key="model", value=recorded)
+        model = factory
     try:
         # Random weights are replaced; torch's generator stays as it is.
         with torch.random.fork_rng(devices=[]):
             allowed = allow_code and not is_built_in(recorded)
-            module = build_network(task, model, len(classes), allow_code=allowed)
+            module = build_network(description.task, model, len(classes), allow_code=allowed)
     except ArgumentError as error:
         if model == factory:
             raise
         raise InputError(file, error.problem, key=error.where) from None
     fill_module(module, tensors, file)
-    decision = _read_decision(description["decision"], len(classes), file)
-    return TrainedModel(module, model, classes, width, training, decision, task)
-
-
-def _read_decision(content: DecisionDescription | None, count: int, file: Path) -> Decision | None:
-    """The decision of a model file; raises `InputError` if it is not of that number of classes."""
-    if content is None:
-        return None
-    lists = content.weights, content.frequencies, content.factors
-    if {len(item) for item in lists} != {count}:
-        raise InputError(file, f"must hold lists of {count} numbers, one for each class", key="decision")
-    weights, frequencies, factors = map(tuple, lists)
-    return Decision(weights, frequencies, content.temperature, factors)
-
-
-def _unknown_model(file: Path, recorded: str) -> InputError:
-    """The error of a file whose network is made by code that is not part of this package."""
-    problem = f"is none of {', '.join(MODELS)}; a network of your own needs --factory module:name"
-    return InputError(
-        file, f"{problem} and --allow-code (in Python, factory= and allow_code=)", key="model", value=recorded
+    decision, count = None, len(classes)
+    if (learned := description.decision) is not None:
+        if {len(learned.weights), len(learned.frequencies), len(learned.factors)} != {count}:
+            raise InputError(file, f"must hold lists of {count} numbers, one for each class", key="decision")
+        decision = Decision(**dict(learned))
+    return TrainedModel(
+        module, model, classes, description.width, description.training, decision, description.task
     )
 
 
@@ -328,15 +296,3 @@ def read_weights(file: Path, form: str) -> tuple[dict[str, torch.Tensor], dict[s
     if not isinstance(description, dict) or description.get("format") != form:
         raise InputError(file, f"is not of the format {form!r}")
     return tensors, description
-
-
-def _scaled(image: torch.Tensor, width: int | None) -> torch.Tensor:
-    """An image `(n, 3, h, w)` at a width."""
-    from torch.nn import functional
-
-    if width is None or image.shape[-1] == width:
-        return image
-    height = max(1, round(image.shape[-2] * width / image.shape[-1]))
-    return functional.interpolate(
-        image, size=(height, width), mode="bilinear", align_corners=False, antialias=True
-    )

@@ -57,12 +57,14 @@ def ip_basic(_colour: Colour, sensor: NDArray[np.float32]) -> DepthMap:
     Ku, Harakeh & Waslander 2018, "In defense of classical image processing: fast depth completion on the
     CPU", CRV, section III, with its kernels. Its last step but one repeats here until no hole is left.
     """
+    from skimage.morphology import diamond
+
     cv2 = opencv()
     top = _NEAREST_INVERTED * float(np.nanmax(sensor))
     inverted = np.where(np.isfinite(sensor), top - sensor, 0.0).astype(np.float32)
 
     # Dilate with a diamond, and close small holes.
-    inverted = cv2.dilate(inverted, _diamond(_SMALL_KERNEL_PX))
+    inverted = cv2.dilate(inverted, diamond(_SMALL_KERNEL_PX // 2))
     inverted = cv2.morphologyEx(inverted, cv2.MORPH_CLOSE, np.ones((_SMALL_KERNEL_PX,) * 2, np.uint8))
     inverted = _fill_by_dilation(inverted, _FILL_KERNEL_PX)
 
@@ -121,12 +123,6 @@ def opencv() -> Any:
         problem = "OpenCV is not installed, which this baseline needs"
         raise SetupError(f"{problem}; install it with `pip install 'pepperscene[depth]'`") from None
     return cv2
-
-
-def _diamond(side: int) -> NDArray[np.uint8]:
-    """Kernel of the pixels at most half of a side from the middle, in steps right, left, up and down."""
-    steps = np.abs(np.arange(side) - side // 2)
-    return (steps[:, None] + steps <= side // 2).astype(np.uint8)
 
 
 def _fill_by_dilation(inverted: NDArray[np.float32], side: int) -> NDArray[np.float32]:

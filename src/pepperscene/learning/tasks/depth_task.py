@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.learning.tasks.depth_baselines import BASELINES, DepthMethod
-from pepperscene.learning.tasks.frames import PredictionFolder, TaskSplit, count_frames, open_task_frames
+from pepperscene.learning.tasks.frames import PredictionFolder, TaskSplit, open_task_frames
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.user_code import user_errors
 
@@ -52,8 +52,6 @@ DEPTH_MEASURES: Final = (
     *(TaskMeasure(f"within_{factor:.2f}", f"δ {factor:.2f}, %", 1, 100.0) for factor in FACTORS),
 )
 
-SUMS: Final = 4 + len(FACTORS)
-
 
 def evaluate_depth(
     folder: str | Path,
@@ -84,7 +82,7 @@ def evaluate_depth(
     used = (BASELINES if not folders else {}) if methods is None else methods
     frames = open_task_frames(folder, DEPTH_OUTPUTS, split)
     names = [SENSOR, *used, *(one.name for one in folders)]
-    sums = {name: np.zeros((len(REGIONS), SUMS)) for name in names}
+    sums = {name: np.zeros((len(REGIONS), 4 + len(FACTORS))) for name in names}
     if len(sums) < len(names):
         raise ArgumentError("predictions", f"must have names of their own, not {', '.join(names)}")
 
@@ -150,10 +148,7 @@ def _result(frames: TaskSplit, sums: Mapping[str, NDArray[np.float64]], farthest
         for method in sums
         if method != SENSOR or region in ("measured", "borders")
     ]
-    title = (
-        f"Depth completion: {frames.test.dataset.folder.resolve().name}, {count_frames(len(frames.test))}, "
-        f"surfaces up to {farthest_m:g} m"
-    )
+    title = f"Depth completion: {frames.title}, surfaces up to {farthest_m:g} m"
     note = f"{SENSOR}: the measured depth itself, without its holes"
     return TaskResult(
         "depth_completion", title, DEPTH_MEASURES, tuple(scores), "pixels of", (note, *frames.notes)

@@ -35,13 +35,7 @@ DEFAULT_SPLIT: Final = "train=.8,test=.2"
 
 @dataclass(frozen=True, eq=False)
 class TaskFrames:
-    """Frames of one split of a data set.
-
-    Attributes:
-        dataset: that they belong to.
-        split: its name, "train" or "test".
-        indices: of the frames, ascending.
-    """
+    """Frames of the split "train" or "test" of a data set, by their ascending indices."""
 
     dataset: Dataset
     split: str
@@ -61,15 +55,8 @@ class TaskFrames:
 
     def images(self) -> RenderedSet:
         """The frames as a set of labelled images."""
-        return RenderedSet.from_dataset(self.dataset).take(self._positions())
-
-    def with_indices(self, indices: Sequence[int]) -> TaskFrames:
-        """Some of the frames."""
-        return TaskFrames(self.dataset, self.split, tuple(indices))
-
-    def _positions(self) -> list[int]:
         places = {index: place for place, index in enumerate(self.dataset.indices())}
-        return [places[index] for index in self.indices]
+        return RenderedSet.from_dataset(self.dataset).take([places[index] for index in self.indices])
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +72,12 @@ class TaskSplit:
     train: TaskFrames
     test: TaskFrames
     note: str
+
+    @property
+    def title(self) -> str:
+        """Name of the data set and number of its test frames."""
+        frames = f"{len(self.test):,} frame{'' if len(self.test) == 1 else 's'}"
+        return f"{self.test.dataset.folder.resolve().name}, {frames}"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -118,16 +111,6 @@ def open_task_frames(folder: str | Path, outputs: Sequence[str], split: str | No
     return TaskSplit(train, test, shared_plants(used, plan))
 
 
-def frame_name(index: int) -> str:
-    """Name of a frame's files, without the suffix."""
-    return f"{index:0{DIGITS}d}"
-
-
-def count_frames(number: int) -> str:
-    """A number of frames in words."""
-    return f"{number:,} frame{'' if number == 1 else 's'}"
-
-
 def _check_outputs(dataset: Dataset, index: int, outputs: Sequence[str]) -> None:
     found = read_outputs(dataset, index)
     missing = [name for name in outputs if name not in found]
@@ -140,11 +123,8 @@ def _check_outputs(dataset: Dataset, index: int, outputs: Sequence[str]) -> None
 class PredictionFolder:
     """A folder of predictions; `000012.npy`, `000012.exr` or `000012.png` belongs to frame 12.
 
-    Attributes:
-        folder: the folder.
-
     Raises:
-        InputError: it is none.
+        InputError: it is no folder.
     """
 
     folder: Path
@@ -160,22 +140,15 @@ class PredictionFolder:
 
     def path(self, index: int, suffixes: tuple[str, ...] = MAP_SUFFIXES) -> Path:
         """The file of a frame; raises `InputError` if there is none."""
+        name = f"{index:0{DIGITS}d}"
         for suffix in suffixes:
-            path = self.folder / f"{frame_name(index)}{suffix}"
-            if path.is_file():
+            if (path := self.folder / f"{name}{suffix}").is_file():
                 return path
-        allowed = ", ".join(suffixes[:-1]) + (f" or {suffixes[-1]}" if len(suffixes) > 1 else suffixes[-1])
-        raise InputError(
-            self.folder, f"has no prediction for frame {index}: {frame_name(index)} with {allowed}"
-        )
+        allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise InputError(self.folder, f"has no prediction for frame {index}: {name} with {allowed}")
 
     def read_map(
-        self,
-        index: int,
-        needed: NDArray[np.bool_],
-        *,
-        png_unit: float,
-        positive: bool = False,
+        self, index: int, needed: NDArray[np.bool_], *, png_unit: float = 1.0, positive: bool = False
     ) -> FloatArray:
         """A map of numbers `(h, w)`.
 
@@ -189,7 +162,11 @@ class PredictionFolder:
             InputError: the file is missing, cannot be read, has another size, or lacks a needed value.
         """
         path = self.path(index)
-        values = _check_map(path, read_values(path), needed.shape)
+        content = read_values(path)
+        if content.dtype.kind not in "fiu":
+            raise InputError(path, f"must hold numbers, not {content.dtype}")
+        _check_size(path, content.shape, needed.shape)
+        values = content.astype(np.float64)
         if path.suffix == ".png":
             values = values * png_unit
         missing = needed & ~np.isfinite(values)
@@ -216,8 +193,7 @@ class PredictionFolder:
         if values is None:
             raise InputError(path, "must hold class ids, not colours")
         ids = np.asarray(values)
-        if ids.shape != size:
-            raise InputError(path, _size_problem(ids.shape, size))
+        _check_size(path, ids.shape, size)
         if ids.min(initial=0) < 0 or ids.max(initial=0) >= classes:
             raise InputError(
                 path, f"must hold class ids from 0 to {classes - 1}, not {int(ids.max(initial=0))}"
@@ -225,16 +201,10 @@ class PredictionFolder:
         return ids.astype(np.uint8)
 
 
-def _check_map(path: Path, values: NDArray[Any], size: tuple[int, ...]) -> FloatArray:
-    if values.dtype.kind not in "fiu":
-        raise InputError(path, f"must hold numbers, not {values.dtype}")
-    if values.shape != size:
-        raise InputError(path, _size_problem(values.shape, size))
-    return values.astype(np.float64)
-
-
-def _size_problem(found: tuple[int, ...], size: tuple[int, ...]) -> str:
-    return f"must be {size[0]} rows x {size[1]} columns as the frame, not {' x '.join(map(str, found))}"
+def _check_size(path: Path, found: tuple[int, ...], size: tuple[int, ...]) -> None:
+    if found != size:
+        shape = " x ".join(map(str, found))
+        raise InputError(path, f"must be {size[0]} rows x {size[1]} columns as the frame, not {shape}")
 
 
 def read_values(path: Path) -> NDArray[Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +20,9 @@ from pepperscene.learning.evaluation.measures import (
     intersection_over_union,
     mean_intersection_over_union,
 )
-from pepperscene.learning.options import TrainingOptions
-from pepperscene.learning.tasks.frames import (
-    PredictionFolder,
-    TaskFrames,
-    TaskSplit,
-    count_frames,
-    open_task_frames,
-)
+from pepperscene.learning.options import TrainingOptions, TrainingProgress
+from pepperscene.learning.tasks.frames import PredictionFolder, TaskFrames, TaskSplit, open_task_frames
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
-
-if TYPE_CHECKING:
-    from pepperscene.dataset.readers.image_set import ImageSet
-    from pepperscene.learning.options import TrainingProgress
 
 SENSOR_OUTPUTS: Final = ("colour", "class")
 """Outputs that the frames of a data set must have."""
@@ -45,17 +35,12 @@ TRAINING: Final = TrainingOptions(steps=300, size=(128, 128), width=320, precisi
 SegmentImage = Callable[[int, LabelledImage], NDArray[np.uint8]]
 """From the index of a frame and its image to class ids `(h, w)`."""
 
-OnTraining = Callable[[str, "TrainingProgress"], None]
+OnTraining = Callable[[str, TrainingProgress], None]
 
 
 @dataclass(frozen=True)
 class SensorBaseline:
-    """How the shipped network is trained.
-
-    Attributes:
-        augmentation: strength of random changes of the training images.
-        all_twins: whether it learns from all cameras, as if photographs of each were labelled.
-    """
+    """How the shipped network is trained: the strength of random changes of images, and on which cameras."""
 
     augmentation: float
     all_twins: bool = False
@@ -121,14 +106,7 @@ def evaluate_sensors(
 
 
 def score_twins(name: str, segment: SegmentImage, test: TaskFrames, twin: int) -> list[Score]:
-    """IoU of each class on the twin that a method learned from, on the others, and the gap.
-
-    Args:
-        name: of the method.
-        segment: predicts the classes of a frame.
-        test: frames of two twins or more.
-        twin: that the method learned from.
-    """
+    """IoU of each class on the twin that a method learned from, on the others, and the gap."""
     matrices = {number: np.zeros((len(CLASSES), len(CLASSES)), np.int64) for number in _twins(test)}
     images = test.images().select("colour", "classes")
     for position, index in enumerate(test.indices):
@@ -152,11 +130,6 @@ def twin_number(frames: TaskFrames, index: int) -> int:
     """The number of the twin that a frame belongs to."""
     plan = frames.plan
     return int(index // (plan["frames"] * plan.get("cameras", 1)) % plan.get("twins", 1))
-
-
-def twin_frames(frames: TaskFrames, twin: int) -> TaskFrames:
-    """The frames of one twin."""
-    return frames.with_indices([index for index in frames.indices if twin_number(frames, index) == twin])
 
 
 def _twins(frames: TaskFrames) -> list[int]:
@@ -187,12 +160,14 @@ def _train_baseline(
     from pepperscene.learning.training.run import train
 
     baseline = SENSOR_BASELINES[name]
-    chosen = frames.train if baseline.all_twins else twin_frames(frames.train, twin)
+    chosen = frames.train
+    if not baseline.all_twins:
+        own = tuple(index for index in chosen.indices if twin_number(chosen, index) == twin)
+        chosen = replace(chosen, indices=own)
     if not len(chosen):
         raise InputError(frames.test.dataset.folder, f"has no frames of twin {twin} to train on")
-    sets: ImageSet = chosen.images()
     model = train(
-        [sets],
+        [chosen.images()],
         out / name,
         replace(options or TRAINING, augmentation=baseline.augmentation),
         resume=True,
@@ -207,14 +182,9 @@ def _train_baseline(
 
 
 def _result(frames: TaskSplit, scores: Sequence[Score], twin: int) -> TaskResult:
-    measures = tuple(
-        TaskMeasure(name, f"{name}, %" if name == "mean" else name, 1, 100.0)
-        for name in ("mean", *CLASSES.names)
-    )
+    each = (TaskMeasure(name, name, 1, 100.0) for name in CLASSES.names)
+    measures = (TaskMeasure("mean", "mean, %", 1, 100.0), *each)
     others = ", ".join(str(number) for number in _twins(frames.test) if number != twin)
-    title = (
-        f"Segmentation across sensors: {frames.test.dataset.folder.resolve().name}, "
-        f"{count_frames(len(frames.test))}, IoU"
-    )
+    title = f"Segmentation across sensors: {frames.title}, IoU"
     notes = (f"own: twin {twin}; other: twin{'s' if ',' in others else ''} {others}", *frames.notes)
     return TaskResult("cross_sensor", title, measures, tuple(scores), "images of", notes)

@@ -1,8 +1,7 @@
 """Regression of a trait on the reflectance in bands: spectral indices, ridge, partial least squares.
 
-References: ridge regression (Hoerl & Kennard 1970,
-Technometrics 12:55), partial least squares with one response (Wold, Sjostrom & Eriksson 2001, Chemom. Intell.
-Lab. Syst. 58:109).
+References: ridge regression (Hoerl & Kennard 1970, Technometrics 12:55), partial least squares with one
+response (Wold, Sjostrom & Eriksson 2001, Chemom. Intell. Lab. Syst. 58:109).
 """
 
 from __future__ import annotations

@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.learning.tasks.frames import (
-    TEST,
-    TRAIN,
-    PredictionFolder,
-    TaskFrames,
-    count_frames,
-    open_task_frames,
-)
+from pepperscene.learning.tasks.frames import TEST, TRAIN, PredictionFolder, TaskFrames, open_task_frames
 from pepperscene.learning.tasks.result import Score, TaskMeasure, TaskResult
 from pepperscene.learning.tasks.trait_regression import REGRESSIONS, Regression, has_bands
 
@@ -61,8 +54,6 @@ BAND_INPUTS: Final = ("reflectance", "instance", "class")
 SMALLEST_PX: Final = 50
 """Least pixels of an organ. Chosen: at fewer, its rim, where pixels show what is behind it, is half of it."""
 
-PNG_UNIT: Final = 1.0  # predictions as PNG hold whole units
-
 
 @dataclass(frozen=True, eq=False)
 class OrganSamples:
@@ -73,14 +64,12 @@ class OrganSamples:
         trait: `(n,)` mean of its pixels, in the trait's unit.
         frame: `(n,)` index of the frame.
         instance: `(n,)` number of the organ in the frame.
-        pixels: `(n,)` number of its pixels.
     """
 
     reflectance: FloatArray
     trait: FloatArray
     frame: NDArray[np.int64]
     instance: NDArray[np.int64]
-    pixels: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.trait)
@@ -116,7 +105,6 @@ def organ_samples(
         organ_means(trait, instances, used)[1][kept],
         np.full(int(kept.sum()), frame, np.int64),
         numbers[kept].astype(np.int64),
-        pixels[kept].astype(np.int64),
     )
 
 
@@ -131,7 +119,7 @@ def organ_means(
 
 def join_samples(parts: Sequence[OrganSamples]) -> OrganSamples:
     """The organs of several frames; at least one."""
-    names = ("reflectance", "trait", "frame", "instance", "pixels")
+    names = ("reflectance", "trait", "frame", "instance")
     return OrganSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
@@ -214,7 +202,7 @@ def score_maps(
         rows = np.flatnonzero(test.frame == frame)
         instances = instances_of[frame]
         used = np.isin(instances, test.instance[rows])
-        numbers, means = organ_means(folder.read_map(frame, used, png_unit=PNG_UNIT), instances, used)
+        numbers, means = organ_means(folder.read_map(frame, used), instances, used)
         predicted[rows] = means[np.searchsorted(numbers, test.instance[rows])]
     return Score(folder.name, "", regression_errors(predicted, test.trait))
 
@@ -244,8 +232,13 @@ def evaluate_trait(
     Raises:
         InputError: the data set or a prediction is not as it must be.
     """
-    kind = trait_of(trait)
-    folders = open_prediction_folders(predictions)
+    if trait not in TRAITS:
+        raise ArgumentError("trait", f"must be {' or '.join(TRAITS)}, not {trait!r}")
+    kind = TRAITS[trait]
+    folders = [PredictionFolder(Path(path)) for path in predictions]
+    names = [one.name for one in folders]
+    if len(set(names)) < len(names):
+        raise ArgumentError("predictions", f"must have names of their own, not {', '.join(names)}")
     frames = open_task_frames(folder, (*BAND_INPUTS, kind.name), split)
     used = {} if methods is None and folders else methods
     bands_nm = _bands(frames.test)
@@ -268,10 +261,7 @@ def evaluate_trait(
         instances = {int(index): frames.test.read(int(index), "instance") for index in np.unique(test.frame)}
         scores += [score_maps(one, test, instances) for one in folders]
     learned = f", learned from {len(samples[TRAIN]):,}" if len(parts) > 1 else ""
-    title = (
-        f"{kind.name.capitalize()} of {kind.organs} from {len(bands_nm)} bands: "
-        f"{frames.test.dataset.folder.resolve().name}, {count_frames(len(frames.test))}{learned}"
-    )
+    title = f"{trait.capitalize()} of {kind.organs} from {len(bands_nm)} bands: {frames.title}{learned}"
     note = f"{kind.organs} of {smallest_px} pixels or more"
     return TaskResult(kind.name, title, trait_measures(kind), tuple(scores), notes=(note, *frames.notes))
 
@@ -304,19 +294,3 @@ def _frame_samples(
     if np.isnan(reflectance).any():
         raise InputError(path, "must have a reflectance in every band; it is nan where light is too weak")
     return organ_samples(index, reflectance, values, instances, classes == trait.organ, smallest_px)
-
-
-def trait_of(name: str) -> Trait:
-    """A trait by its name; raises `ArgumentError` if there is none."""
-    if name not in TRAITS:
-        raise ArgumentError("trait", f"must be {' or '.join(TRAITS)}, not {name!r}")
-    return TRAITS[name]
-
-
-def open_prediction_folders(paths: Sequence[str | Path]) -> list[PredictionFolder]:
-    """Folders of predictions, whose names differ."""
-    folders = [PredictionFolder(Path(path)) for path in paths]
-    names = [folder.name for folder in folders]
-    if len(set(names)) < len(names):
-        raise ArgumentError("predictions", f"must have names of their own, not {', '.join(names)}")
-    return folders

@@ -86,13 +86,9 @@ class ViewScene:
     """One scene of the task.
 
     Attributes:
-        task: its conditions.
         spec: a frame of the scene.
-        scene: the plants.
-        camera: lens and sensor.
         candidates: `(n, 4, 4)` views to choose from, all reachable: an arc, then random ones.
         arc: numbers of the candidates on the arc, from one end to the other.
-        seed: of the recipe.
     """
 
     task: ViewTask
@@ -143,12 +139,7 @@ class ViewScene:
 def view_scenes(
     recipe: ResolvedRecipe, task: ViewTask, on_stage: Callable[[str], None] | None = None
 ) -> Iterator[ViewScene]:
-    """The first scene of each set of plants.
-
-    Args:
-        recipe: with its files.
-        task: conditions.
-        on_stage: called with the name of each stage that takes long.
+    """The first scene of each set of plants; `on_stage` is called with each stage that takes long.
 
     Raises:
         InputError: no position of the arc is reachable, or hardly any of the workspace.

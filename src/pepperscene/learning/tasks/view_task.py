@@ -102,7 +102,7 @@ def evaluate_planners(
 
 
 def plan_views(
-    recipe: str | Path | Recipe | ResolvedRecipe,
+    recipe: ResolvedRecipe,
     planners: Mapping[str, Planner] | None = None,
     task: ViewTask | None = None,
     *,
@@ -110,38 +110,31 @@ def plan_views(
 ) -> tuple[dict[str, PlannedViews], FloatArray]:
     """What planners reach in each scene, and `(s,)` what all candidates see together.
 
-    Arguments and errors are those of `evaluate_planners`.
+    Other arguments and errors are those of `evaluate_planners`.
     """
     notify = on_stage or (lambda _: None)
-    resolved = resolve_recipe(recipe)
     used = PLANNERS if planners is None else planners
     names = (*used, ORACLE)
     coverage: dict[str, list[FloatArray]] = {name: [] for name in names}
     views: dict[str, list[tuple[int, ...]]] = {name: [] for name in names}
     most = []
-    for scene in view_scenes(resolved, task or ViewTask(), on_stage):
+    for scene in view_scenes(recipe, task or ViewTask(), on_stage):
         notify(f"observing scene {scene.spec.scene} from {len(scene.candidates)} views")
         if not len(scene.fruit):
             raise InputError(
-                resolved.recipe.name, f"has no fruit opposite the workspace in scene {scene.spec.scene}"
+                recipe.recipe.name, f"has no fruit opposite the workspace in scene {scene.spec.scene}"
             )
         most.append(covered_fraction(scene, range(len(scene.candidates)))[-1])
         for name in names:
             notify(f"planning views of scene {scene.spec.scene}: {name}")
-            runs = _runs(name, used.get(name), scene)
+            runs = [oracle_views(scene)]
+            if (planner := used.get(name)) is not None:
+                count = _RANDOM_RUNS if planner is random_planner else 1
+                runs = [_run(name, planner, scene, run) for run in range(count)]
             coverage[name].append(np.mean([covered_fraction(scene, run) for run in runs], axis=0))
             views[name].append(tuple(runs[-1]))
     planned = {name: PlannedViews(np.array(coverage[name]), tuple(views[name])) for name in names}
     return planned, np.array(most)
-
-
-def _runs(name: str, planner: Planner | None, scene: ViewScene) -> list[list[int]]:
-    """The views of one or several runs of a planner in a scene; None for the oracle."""
-    if planner is None:
-        return [oracle_views(scene)]
-    return [
-        _run(name, planner, scene, run) for run in range(_RANDOM_RUNS if planner is random_planner else 1)
-    ]
 
 
 def _run(name: str, planner: Planner, scene: ViewScene, run: int) -> list[int]:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import torch
+from pydantic import Field, FiniteFloat
 from torch import nn
 
 from pepperscene.atomic import write_file
+from pepperscene.document import Document, validate
 from pepperscene.errors import InputError, short_repr
-from pepperscene.learning.models.trained_model import (
-    StateDescription,
-    check_description,
-    fill_module,
-    read_weights,
-    weights_as_bytes,
-)
+from pepperscene.learning.models.trained_model import fill_module, read_weights, weights_as_bytes
 
 STATE_FILE: Final = "state.safetensors"
 FORMAT: Final = "pepperscene training 1"
@@ -27,9 +22,10 @@ _MODEL: Final = "model."
 _FIRST: Final = "first_moment."
 _SECOND: Final = "second_moment."
 
+_Count = Annotated[int, Field(strict=True, ge=0, lt=2**63)]
 
-@dataclass(frozen=True)
-class TrainingState:
+
+class TrainingState(Document):
     """Where a training is.
 
     Attributes:
@@ -39,10 +35,11 @@ class TrainingState:
         record: options, sets and versions, which must be the same to resume.
     """
 
-    step: int
-    best: float | None
-    best_step: int
-    record: Mapping[str, Any]
+    step: _Count = 0
+    best: Annotated[FiniteFloat, Field(strict=True)] | None = None
+    best_step: _Count = 0
+    record: dict[str, Any]
+    format: str = FORMAT
 
 
 def write_state(folder: Path, module: nn.Module, optimiser: torch.optim.Adam, state: TrainingState) -> None:
@@ -52,14 +49,7 @@ def write_state(folder: Path, module: nn.Module, optimiser: torch.optim.Adam, st
         moments = optimiser.state.get(parameter)
         if moments:
             tensors[_FIRST + name], tensors[_SECOND + name] = moments["exp_avg"], moments["exp_avg_sq"]
-    description = {
-        "format": FORMAT,
-        "step": state.step,
-        "best": state.best,
-        "best_step": state.best_step,
-        "record": dict(state.record),
-    }
-    write_file(folder / STATE_FILE, weights_as_bytes(tensors, description))
+    write_file(folder / STATE_FILE, weights_as_bytes(tensors, state.model_dump()))
 
 
 def read_state(
@@ -73,18 +63,16 @@ def read_state(
     """
     file = folder / STATE_FILE
     tensors, description = read_weights(file, FORMAT)
-    description = check_description(file, description, StateDescription)
-    found = description["record"]
-    check_record(file, found, record)
+    state = validate(TrainingState, description, file)
+    check_record(file, state.record, record)
     weights = {name[len(_MODEL) :]: value for name, value in tensors.items() if name.startswith(_MODEL)}
     fill_module(module, weights, file)
-    step = description["step"]
     try:
         for name, parameter in module.named_parameters():
             if _FIRST + name in tensors:
                 # Moments have the memory format of their weights, as those that Adam makes.
                 optimiser.state[parameter] = {
-                    "step": torch.tensor(float(step)),
+                    "step": torch.tensor(float(state.step)),
                     "exp_avg": torch.empty_like(parameter).copy_(tensors[_FIRST + name]).detach(),
                     "exp_avg_sq": torch.empty_like(parameter).copy_(tensors[_SECOND + name]).detach(),
                 }
@@ -92,31 +80,26 @@ def read_state(
         raise InputError(file, f"lacks {error}") from None
     except RuntimeError:
         raise InputError(file, "holds moments that do not have the shapes of its weights") from None
-    return TrainingState(step, description["best"], description["best_step"], found)
+    return state
 
 
 def check_record(file: Path, found: Any, record: Mapping[str, Any]) -> None:
     """Raise `InputError` if a file was written by another training; the first difference is named."""
-    difference = first_difference(found, record)
-    if difference is not None:
-        key, there, here = difference
-        problem = f"{key} is {short_repr(there)} there and {short_repr(here)} here"
-        raise InputError(file, f"holds another training: {problem}; choose another folder")
+    if difference := first_difference(found, record):
+        raise InputError(file, f"holds another training: {difference}; choose another folder")
 
 
-def first_difference(found: Any, here: Any, key: str = "") -> tuple[str, Any, Any] | None:
-    """Dotted key and values of the first difference of two JSON values."""
+def first_difference(found: Any, here: Any, key: str = "") -> str:
+    """Dotted key and values of the first difference of two JSON values, in words; "" if they are equal."""
     if isinstance(found, list) and isinstance(here, list):
         if len(found) != len(here):
-            return f"number of {key}", len(found), len(here)
-        if not any(isinstance(value, Mapping) for value in found):
-            return None if found == here else (key, found, here)
-        found, here = dict(enumerate(found)), dict(enumerate(here))
+            found, here, key = len(found), len(here), f"number of {key}"
+        elif any(isinstance(value, Mapping) for value in found):
+            found, here = dict(enumerate(found)), dict(enumerate(here))
     if not (isinstance(found, Mapping) and isinstance(here, Mapping)):
-        return None if found == here else (key, found, here)
+        return "" if found == here else f"{key} is {short_repr(found)} there and {short_repr(here)} here"
     for name in sorted({*found, *here}):
         path = f"{key}.{name}" if key else str(name)
-        difference = first_difference(found.get(name), here.get(name), path)
-        if difference is not None:
+        if difference := first_difference(found.get(name), here.get(name), path):
             return difference
-    return None
+    return ""

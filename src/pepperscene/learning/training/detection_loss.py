@@ -93,10 +93,7 @@ class DetectionLoss(nn.Module):
     Centres: the focal loss of Law and Deng 2018, "CornerNet", ECCV, Eq. 1. Boxes: the generalised IoU
     (Rezatofighi et al. 2019, CVPR) in the cells around each centre, weighted by nearness (Liu et al. 2020).
     Masks: cross-entropy and Dice's coefficient (Milletari et al. 2016, "V-Net", 3DV) in the box.
-
-    Args:
-        classes: number of classes.
-        least_area: least pixels of an object; smaller ones are ignored.
+    Number of classes and least pixels of an object are those of `object_targets`.
     """
 
     def __init__(self, classes: int, least_area: int) -> None:

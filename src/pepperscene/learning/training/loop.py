@@ -33,7 +33,7 @@ from pepperscene.learning.options import MEASURES, TrainingOptions, TrainingProg
 from pepperscene.learning.training.checkpoint import STATE_FILE, TrainingState, read_state, write_state
 from pepperscene.learning.training.colour_matching import ColourMatching
 from pepperscene.learning.training.detection_loss import DetectionLoss
-from pepperscene.learning.training.samples import CheckedSamples, TrainingSamples, join_samples
+from pepperscene.learning.training.samples import TrainingBatches, TrainingSamples
 from pepperscene.learning.training.segmentation_loss import SegmentationLoss
 from pepperscene.review.report.data import evenly_spaced
 from pepperscene.user_files import read_file
@@ -68,8 +68,8 @@ def class_frequencies(sets: Sequence[ImageSet], labels: ClassTable) -> NDArray[n
     """
     counts = np.zeros(len(labels))
     for images in sets:
-        positions = np.unique(np.linspace(0, len(images) - 1, _COUNTED // len(sets) + 1).round().astype(int))
-        for image in images.select("classes").take(positions.tolist()):
+        positions = evenly_spaced(len(images), _COUNTED // len(sets) + 1)
+        for image in images.select("classes").take(positions):
             if image.classes is not None:
                 counts += np.bincount(labels.indices(image.classes).ravel(), minlength=256)[: len(labels)]
     if not counts.any():
@@ -114,7 +114,7 @@ class TrainingLoop:
         sets: Sequence[ImageSet],
         labels: ClassTable,
         origin: TrainedModel | None,
-        record: Mapping[str, Any],
+        record: dict[str, Any],
         matching: ColourMatching | None = None,
     ) -> None:
         self.options, self.labels, self.record = options, labels, record
@@ -155,14 +155,26 @@ class TrainingLoop:
         assert options.steps is not None
         assert options.batch is not None
         assert options.validate is not None
-        state = TrainingState(0, None, 0, self.record)
+        state = TrainingState(record=self.record)
         if (folder / STATE_FILE).is_file():
             state = read_state(folder, self.trained.module, self.optimiser, self.record)
         if folder.is_dir():
             remove_temporary_files(folder)
-        _truncate_log(folder / LOG_FILE, state.step)
+        log = folder / LOG_FILE
+        if log.is_file():
+            # Steps after the checkpoint are taken again.
+            kept = [_log_line(entry) for entry in read_log(log) if entry["step"] <= state.step]
+            write_file(log, "".join(kept).encode())
+        batches = torch.utils.data.DataLoader(
+            TrainingBatches(self.samples, options.batch),
+            batch_size=None,
+            sampler=range(state.step, options.steps),
+            num_workers=options.workers,
+        )
         start, begin, losses = state.step, time.monotonic(), []
-        for step, batch in enumerate(self._batches(state.step), start=state.step + 1):
+        for step, batch in enumerate(batches, start=state.step + 1):
+            if isinstance(batch, PepperError):
+                raise batch
             losses.append(self._step(step, *batch))
             ends = step % options.validate == 0 or step == options.steps
             quality = None
@@ -178,23 +190,6 @@ class TrainingLoop:
                     TrainingProgress(step, options.steps, float(np.mean(losses)), rate, left, **values)
                 )
             losses = [] if ends else losses
-
-    def _batches(self, first: int) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-        """Images and labels of all steps from a number on."""
-        options = self.options
-        assert options.steps is not None
-        assert options.batch is not None
-        loader = torch.utils.data.DataLoader(
-            CheckedSamples(self.samples),
-            batch_size=options.batch,
-            sampler=range(first * options.batch, options.steps * options.batch),
-            num_workers=options.workers,
-            collate_fn=join_samples,
-        )
-        for batch in loader:
-            if isinstance(batch, PepperError):
-                raise batch
-            yield batch
 
     def _step(self, step: int, images: torch.Tensor, labels: torch.Tensor) -> float:
         """Adapt the weights to a batch; returns its loss."""
@@ -236,8 +231,9 @@ class TrainingLoop:
             best, best_step = quality, step
             training = {**self.record, "step": step, f"validation_{measure}": quality}
             replace(self.trained, training=training).save(folder / MODEL_FILE)
-        _append_log(folder / LOG_FILE, {"step": step, "loss": loss, measure: quality})
-        state = TrainingState(step, best, best_step, self.record)
+        with (folder / LOG_FILE).open("a", encoding="utf-8") as log:
+            log.write(_log_line({"step": step, "loss": loss, measure: quality}))
+        state = TrainingState(step=step, best=best, best_step=best_step, record=self.record)
         write_state(folder, self.trained.module, self.optimiser, state)
         return state
 
@@ -337,18 +333,17 @@ def _find_device(name: str | None) -> torch.device:
     return device
 
 
-def _truncate_log(file: Path, step: int) -> None:
-    """Drop lines of steps that a resumption takes again, and an incomplete one."""
-    if not file.is_file():
-        return
-    kept = []
-    for line in read_file(file, "log").splitlines():
-        with suppress(ValueError, KeyError, TypeError):
-            if parse_json(line)["step"] <= step:
-                kept.append(line + b"\n")
-    write_file(file, b"".join(kept))
+def read_log(file: Path) -> list[dict[str, Any]]:
+    """Loss and validations of a training, of the complete lines of its log; none if there is no log."""
+    entries = []
+    for line in read_file(file, "log").splitlines() if file.is_file() else ():
+        with suppress(ValueError, TypeError):
+            entry = dict(parse_json(line))
+            # Not a line with a number that JSON does not have.
+            _log_line(entry)
+            entries.append(entry)
+    return [entry for entry in entries if isinstance(entry.get("step"), int)]
 
 
-def _append_log(file: Path, entry: Mapping[str, Any]) -> None:
-    with file.open("a", encoding="utf-8") as log:
-        log.write(json.dumps(entry, sort_keys=True, allow_nan=False) + "\n")
+def _log_line(entry: Mapping[str, Any]) -> str:
+    return json.dumps(entry, sort_keys=True, allow_nan=False) + "\n"

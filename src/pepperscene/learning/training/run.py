@@ -7,26 +7,34 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pepperscene.atomic import check_can_create, sole_writer, visible_names, write_error, write_file
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.readers.image_set import ImageSet
+from pepperscene.document import validate
 from pepperscene.errors import ArgumentError, InputError, OutputError
-from pepperscene.learning.model_card import CARD_FILE, model_card
 from pepperscene.learning.models.trained_model import (
     FORMAT,
     MODEL_FILE,
     ModelDescription,
     TrainedModel,
-    check_description,
     load_model,
     read_weights,
     require_torch,
 )
 from pepperscene.learning.options import MEASURES, TrainingOptions, TrainingProgress, is_built_in
 from pepperscene.version import __version__
+
+CARD_FILE: Final = "model_card.md"
+
+_SHOWN_OPTIONS: Final = (
+    "model", "steps", "batch", "size", "width", "learning_rate", "schedule", "balance", "lovasz",
+    "least_area", "augmentation", "seed", "precision",
+)  # fmt: skip
 
 
 def train(
@@ -77,7 +85,8 @@ def train(
 
     chosen, folder = options or TrainingOptions(), Path(out)
     sets, validation, match = _as_tuple(sets), _as_tuple(validation), _as_tuple(match)
-    load = partial(load_model, factory=_own_factory(chosen.model), allow_code=chosen.allow_code)
+    factory = None if is_built_in(chosen.model) else chosen.model
+    load = partial(load_model, factory=factory, allow_code=chosen.allow_code)
     origin = load(start) if isinstance(start, str | Path) else start
     if origin is not None:
         # The defaults are those of the model that is adapted.
@@ -88,12 +97,20 @@ def train(
             raise ArgumentError("classes", f"must be those of the detector to start from, {origin.classes}")
     chosen = chosen.completed()
     labels = chosen.table()
-    _check_sets(sets, "sets")
-    _check_sets(validation, "validation")
+    if not sets:
+        raise ArgumentError("sets", "must hold at least one set")
+    for images in (*sets, *validation):
+        if not len(images):
+            raise InputError(images.name, "holds no images")
     matching = ColourMatching(match, chosen.matching) if match else None
-    record = _record(chosen, sets, validation, origin)
-    if match:
-        record["match"] = [describe_images(images) for images in match]
+    record = {
+        "options": chosen.as_record(),
+        "sets": [describe_images(images) for images in sets],
+        "validation": [describe_images(images) for images in validation],
+        "start": None if origin is None else _digest_weights(origin),
+        "versions": used_versions(),
+        **({"match": [describe_images(images) for images in match]} if match else {}),
+    }
     check_can_create(folder)
     if validation and chosen.task == "segment":
         # Raises an error if they have no pixel of the classes.
@@ -110,11 +127,6 @@ def train(
     return model
 
 
-def _own_factory(model: str) -> str | None:
-    """The text of a model that is none of this package, or None."""
-    return None if is_built_in(model) else model
-
-
 def describe_images(images: ImageSet) -> dict[str, Any]:
     """Name, number of images and digests of a set as JSON values."""
     names = hashlib.sha256("\n".join(images.names()).encode("utf-8", "surrogateescape")).hexdigest()
@@ -125,14 +137,6 @@ def describe_images(images: ImageSet) -> dict[str, Any]:
 
 def _as_tuple(sets: ImageSet | Sequence[ImageSet]) -> tuple[ImageSet, ...]:
     return (sets,) if isinstance(sets, ImageSet) else tuple(sets)
-
-
-def _check_sets(sets: Sequence[ImageSet], where: str) -> None:
-    if where == "sets" and not sets:
-        raise ArgumentError(where, "must hold at least one set")
-    for images in sets:
-        if len(images) == 0:
-            raise InputError(images.name, "holds no images")
 
 
 def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None:
@@ -150,27 +154,16 @@ def _check_folder(folder: Path, resume: bool, record: Mapping[str, Any]) -> None
     if STATE_FILE not in names:
         # The training was killed at its first checkpoint, or its state was removed. It starts anew.
         file = folder / MODEL_FILE
-        training = check_description(file, read_weights(file, FORMAT)[1], ModelDescription)["training"]
+        training = validate(ModelDescription, read_weights(file, FORMAT)[1], file).training
         results = ("step", *(f"validation_{measure}" for measure in MEASURES.values()))
         check_record(file, {key: training[key] for key in training if key not in results}, record)
 
 
-def _record(
-    options: TrainingOptions,
-    sets: Sequence[ImageSet],
-    validation: Sequence[ImageSet],
-    origin: TrainedModel | None,
-) -> dict[str, Any]:
-    """What defines the result of a training: a resumption must agree with it."""
+def used_versions() -> dict[str, str]:
+    """Versions of the packages that decide the result of a training."""
     import torch
 
-    return {
-        "options": options.as_record(),
-        "sets": [describe_images(images) for images in sets],
-        "validation": [describe_images(images) for images in validation],
-        "start": None if origin is None else _digest_weights(origin),
-        "versions": {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__},
-    }
+    return {"pepperscene": __version__, "torch": str(torch.__version__), "numpy": np.__version__}
 
 
 def _digest_weights(segmenter: TrainedModel) -> str:
@@ -179,3 +172,34 @@ def _digest_weights(segmenter: TrainedModel) -> str:
         content.update(name.encode())
         content.update(tensor.cpu().contiguous().numpy().tobytes())
     return content.hexdigest()
+
+
+def model_card(model: TrainedModel) -> str:
+    """What a network is for, how it was made, and what it was measured on, in Markdown.
+
+    Mitchell et al. 2019, "Model cards for model reporting", FAT*.
+    """
+    environment = Environment(
+        loader=PackageLoader("pepperscene.learning"),
+        autoescape=False,  # Markdown; names are in code spans
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters["code"] = lambda text: f"`{' '.join(str(text).replace('`', '').split())}`"
+    record, organs = model.training, [organ.name.lower() for organ in OrganClass]
+    classes = [
+        (name, ", ".join(organs[class_id] for class_id in sorted(members)))
+        for name, members in zip(model.classes.names, model.classes.members, strict=True)
+    ]
+    options = record["options"]
+    return environment.get_template(CARD_FILE).render(
+        model=model,
+        record=record,
+        classes=classes,
+        options={name: options[name] for name in _SHOWN_OPTIONS if name in options},
+        quality=record.get(f"validation_{MEASURES[model.task]}"),
+        is_rendered=all(item["recipe_sha256"] for item in record["sets"]),
+        version=__version__,
+    )

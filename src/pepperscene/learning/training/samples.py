@@ -89,30 +89,23 @@ class TrainingSamples(torch.utils.data.Dataset):
 
 
 @final
-class CheckedSamples(torch.utils.data.Dataset):
-    """Crops by number, with an error in place of a crop that cannot be read.
+class TrainingBatches(torch.utils.data.Dataset):
+    """The crops of each step, counted from 0, or the error of reading one.
 
     A `DataLoader` does not bring errors of several arguments back from its workers.
     """
 
-    def __init__(self, samples: TrainingSamples) -> None:
-        self._samples = samples
+    def __init__(self, samples: TrainingSamples, size: int) -> None:
+        self._samples, self._size = samples, size
 
-    def __getitem__(self, number: int) -> tuple[torch.Tensor, torch.Tensor] | PepperError:
-        """Crop with a number, or the error of reading it."""
+    def __getitem__(self, step: int) -> tuple[torch.Tensor, torch.Tensor] | PepperError:
+        """Images and labels of a step."""
         try:
-            return self._samples[number]
+            pairs = [self._samples[number] for number in range(step * self._size, (step + 1) * self._size)]
         except PepperError as error:
             return error
-
-
-def join_samples(samples: Sequence[Any]) -> tuple[torch.Tensor, torch.Tensor] | PepperError:
-    """A batch of crops, or the first error among them."""
-    for sample in samples:
-        if isinstance(sample, PepperError):
-            return sample
-    images, labels = zip(*samples, strict=True)
-    return torch.stack(images), torch.stack(labels)
+        images, labels = zip(*pairs, strict=True)
+        return torch.stack(images), torch.stack(labels)
 
 
 def _augmentation(size: tuple[int, int], strength: float) -> Augmentation:

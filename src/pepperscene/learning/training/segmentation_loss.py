@@ -64,11 +64,8 @@ def overlap_loss(probabilities: torch.Tensor, labels: torch.Tensor) -> torch.Ten
 
     Berman, Rannen Triki and Blaschko (2018), "The Lovász-Softmax loss", CVPR. A pixel's error is 1 - p in its
     own class and p in another one. With the pixels in the order of falling errors, each error counts as much
-    as the IoU falls when the pixel joins those before it, if all of these are wrong.
-
-    Args:
-        probabilities: `(n, k, h, w)`.
-        labels: `(n, h, w)`, 255 for void.
+    as the IoU falls when the pixel joins those before it, if all of these are wrong. Probabilities are
+    `(n, k, h, w)`, and labels `(n, h, w)` with 255 for void.
     """
     known = labels != IGNORE_CLASS
     truth, losses = labels[known], []
