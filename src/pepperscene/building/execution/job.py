@@ -164,12 +164,7 @@ class FrameMaker:
     """
 
     def __init__(
-        self,
-        job: BuildJob,
-        worker: str = "",
-        *,
-        eager: bool = False,
-        renderer: FrameRenderer | None = None,
+        self, job: BuildJob, worker: str = "", *, eager: bool = False, renderer: FrameRenderer | None = None
     ) -> None:
         from pepperscene.render import resolve_quality
 

@@ -21,13 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
-from pepperscene.atomic import (
-    canonical_json,
-    digest,
-    exclusive_access,
-    write_error,
-    write_file,
-)
+from pepperscene.atomic import canonical_json, digest, exclusive_access, write_error, write_file
 from pepperscene.camera.sensor.bands import Band
 from pepperscene.dataset.store.frame_json import (
     CHECKSUM,

@@ -165,11 +165,7 @@ class FrameSetups:
         recipe = resolved.recipe
         self.same_for_all = not (recipe.variation or recipe.twins or recipe.rig)
         self._only = FrameSetup(
-            recipe,
-            resolved.cultivar,
-            resolved.camera,
-            resolved.cover,
-            depth_camera=resolved.depth_camera,
+            recipe, resolved.cultivar, resolved.camera, resolved.cover, depth_camera=resolved.depth_camera
         )
 
     def at(self, spec: FrameSpec) -> FrameSetup:
