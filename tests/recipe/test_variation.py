@@ -256,8 +256,8 @@ def test_twins_with_other_views_have_their_own_poses_in_any_order(tmp_path):
     specs = [recipe.plan.frame(index) for index in range(4)]
     scene = type("StandIn", (), {})()
     forwards, backwards = rig_views(recipe), rig_views(recipe)
-    first = [forwards.camera(spec, scene).pose for spec in specs]
-    last = [backwards.camera(spec, scene).pose for spec in reversed(specs)][::-1]
+    first = [forwards.view(spec, scene).pose for spec in specs]
+    last = [backwards.view(spec, scene).pose for spec in reversed(specs)][::-1]
     np.testing.assert_array_equal(first, last)
     np.testing.assert_allclose(first[2][0, 3] - first[0][0, 3], 5)
 

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -115,7 +115,7 @@ class FrameRenderer:
         self.culled = culled and not sees_all
         self._renderer_factory = renderer or mitsuba_renderer
         self._near_plants = NearPlants(self.views, self._renderer_factory)
-        self._on_stage = on_stage or _ignore
+        self._on_stage = on_stage or (lambda _: None)
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
         self._turntable = TurntableScenes()
@@ -166,19 +166,22 @@ class FrameRenderer:
             light: set, `FrameSetup.light` and turn that the scene's own sky is for.
         """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
-        scene, visible = assembled.scene, renderer.visible_points
-        partners = self.views.partners(spec, outputs, scene, visible, view)
+        scene, visible, plan = assembled.scene, renderer.visible_points, self.recipe.plan
+        shown, flow = view or self.views.view(spec, scene, visible), None
+        if "flow" in outputs and view is None and spec.step + 1 < plan.frames:
+            later = plan.frame(spec.index + plan.cameras)
+            flow = self.views.camera(later, self.views.view(later, scene, visible))
         exposure = self._exposures.at(spec, setup, quality) if traced else None
         frame_sky: Sky | Literal["scene"] | None = (
             self.sky(spec) if traced and light != (spec.set, setup.light, turn_of(spec, setup)) else "scene"
         )
         self._on_stage(f"rendering frame {spec.index}")
         frame = renderer.render(
-            self.views.camera(spec, scene, visible, view),
+            self.views.camera(spec, shown),
             outputs,
             quality,
             frame_seed(self.recipe.seed, spec.index) if seed is None else seed,
-            partners=partners,
+            partners=replace(self.views.partners(spec, outputs, shown), flow=flow),
             sky=frame_sky,
             exposure_control=None if exposure is None else exposure.locked or exposure.control,
         )
@@ -208,7 +211,7 @@ class FrameRenderer:
         if exposure is None and not self.views.depends_on_scene:
             return self.views.camera(spec)
         held = self._scene_of(spec, setup, traced=exposure is not None)
-        camera = self.views.camera(spec, held.assembled.scene, held.renderer.visible_points)
+        camera = self._camera_in(held, spec)
         if exposure is None:
             return camera
         from pepperscene.camera.image.auto_exposure import with_exposure
@@ -219,8 +222,12 @@ class FrameRenderer:
         """The exposure that a frame's own light gives it, as in the frame itself."""
         setup = self.setups.at(spec)
         held, seed = self._scene_of(spec, setup, traced=True), frame_seed(self.recipe.seed, spec.index)
-        camera = self.views.camera(spec, held.assembled.scene, held.renderer.visible_points)
-        return held.renderer.meter(camera, setup.recipe.metering.control(), seed, self.sky(spec), quality)
+        camera, control = self._camera_in(held, spec), setup.recipe.metering.control()
+        return held.renderer.meter(camera, control, seed, self.sky(spec), quality)
+
+    def _camera_in(self, held: _HeldScene, spec: FrameSpec) -> Camera:
+        view = self.views.view(spec, held.assembled.scene, held.renderer.visible_points)
+        return self.views.camera(spec, view)
 
     def scene(self, spec: FrameSpec, *, traced: bool = True) -> Scene:
         """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""
@@ -276,7 +283,16 @@ class FrameRenderer:
         return self._assembled(spec, near, mesh, *(optics or (None, None)))
 
     def _culled_mesh(self, near: NearScene, specs: Sequence[FrameSpec]) -> Mesh:
-        return self._cull(near.built.mesh, specs) if self.culled else near.built.mesh
+        """The mesh of a scene without what affects none of its frames, by all poses and the recipe's light.
+
+        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
+        """
+        from pepperscene.scene import cull_mesh
+
+        if not self.culled:
+            return near.built.mesh
+        reach = largest_light_reach([self.setups.at(spec) for spec in specs])
+        return cull_mesh(near.built.mesh, self.views.frustums(specs), reach)
 
     def _assembled(
         self,
@@ -361,16 +377,6 @@ class FrameRenderer:
         specs = [self.recipe.plan.frame(index) for index in self.recipe.plan.scene_indices(spec)]
         return [other for other in specs if self.setups.at(other).plants == setup.plants]
 
-    def _cull(self, mesh: Mesh, specs: Sequence[FrameSpec]) -> Mesh:
-        """Leave out what affects no frame of a scene, by all poses and the recipe's light.
-
-        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
-        """
-        from pepperscene.scene import cull_mesh
-
-        reach = largest_light_reach([self.setups.at(spec) for spec in specs])
-        return cull_mesh(mesh, self.views.frustums(specs), reach)
-
     def _optics(
         self,
         spec: FrameSpec,
@@ -392,7 +398,3 @@ class FrameRenderer:
         if prepare is not None:
             prepare(surfaces.values())
         return surfaces, self.sky(spec)
-
-
-def _ignore(_: str) -> None:
-    """Callback of a caller that wants none."""
