@@ -156,9 +156,9 @@ def build(
         options.on_start(len(indices), job.recipe.recipe.plan.count)
 
     # Make the frames. The tables are also written when a build is interrupted.
-    on_notice = options.on_notice or _ignore
+    on_notice = options.on_notice or (lambda _: None)
     folder = OutputFolder(Path(out), job.info)
-    reporter = _Reporter(job, folder.dataset, len(indices), on_frame or _ignore, on_notice)
+    reporter = _Reporter(job, folder.dataset, len(indices), on_frame or (lambda _: None), on_notice)
     try:
         units = work_units(job.recipe.recipe.plan, indices, executor.size)
         executor.make(job, Dispatcher(units, reporter.report, on_notice))
@@ -211,7 +211,7 @@ class _Reporter:
         self._on_frame, self._on_notice = on_frame, on_notice
         self._throughput = Throughput(total)
         self._preview = next((name for name in VIEWABLE if name in job.outputs), None)
-        self._target = job.resolved_target
+        self._target = job.resolved_quality.target
         self.errors = RenderingErrors()
         self.rows: dict[int, Row] = {}  # by index
 
@@ -281,7 +281,3 @@ def _unlit_notes(dataset: Dataset, indices: Sequence[int], outputs: tuple[str, .
 def _write_tables(dataset: Dataset, rows: Mapping[int, Row]) -> None:
     if dataset.indices():
         dataset.write_tables(rows)
-
-
-def _ignore(_: object) -> None:
-    """Callback of a caller that wants none."""

@@ -184,14 +184,14 @@ def frame_row(metadata: Mapping[str, Any]) -> Row:
     """The row of a frame, without timings: from its JSON, of any content."""
     columns = ("index", "set", "rotation", "step", "seed", "recipe_seed", "checksum")
     row: Row = {name: metadata.get(name) for name in columns}
-    pose = _object(metadata, "camera").get("pose")
+    pose = as_mapping(metadata.get("camera")).get("pose")
     if pose is not None and _is_matrix(pose):
         row |= {name: pose[axis][3] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
         row["pose"] = [number for line in pose for number in line]
-    row |= {f"pixels_{name}": count for name, count in _object(metadata, "class_pixels").items()}
-    sampling = _object(metadata, "sampling")
+    row |= {f"pixels_{name}": count for name, count in as_mapping(metadata.get("class_pixels")).items()}
+    sampling = as_mapping(metadata.get("sampling"))
     row |= {name: sampling.get(name) for name in ("samples_per_pixel", "error_codes", "noise_codes")}
-    outputs = _object(metadata, "outputs")
+    outputs = as_mapping(metadata.get("outputs"))
     entries = {
         name: entry for name, entry in outputs.items() if name in OUTPUTS and isinstance(entry, Mapping)
     }
@@ -216,11 +216,6 @@ def stored_row(row: Row, columns: Mapping[str, str]) -> Row:
         if value is not None and _fits(kind, value):
             stored[name] = value
     return stored
-
-
-def _object(metadata: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    value = metadata.get(key)
-    return value if isinstance(value, dict) else {}
 
 
 def _is_matrix(value: Any) -> bool:

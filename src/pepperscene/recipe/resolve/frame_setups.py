@@ -32,34 +32,25 @@ _HELD: Final = 16
 Content = TypeVar("Content")
 
 
-@dataclass(frozen=True, eq=False)
-class FrameValues:
-    """The recipe of one frame.
-
-    Attributes:
-        recipe: without variation, twins and rig.
-        drawn: the values that differ between frames, by dotted key, ready for JSON.
-    """
-
-    recipe: Recipe
-    drawn: dict[str, Any]
-
-
-def frame_values(recipe: Recipe, spec: FrameSpec) -> FrameValues:
+def frame_values(recipe: Recipe, spec: FrameSpec) -> tuple[Recipe, dict[str, Any]]:
     """Draw the values of a frame.
+
+    Returns:
+        The frame's recipe, without variation, twins and rig; and the values that differ between frames, by
+            dotted key, ready for JSON.
 
     Raises:
         InputError: drawn values, each valid, are not valid together.
     """
     if not (recipe.variation or recipe.twins or recipe.rig):
-        return FrameValues(recipe, {})
+        return recipe, {}
     draws = draw_values(recipe.variation, recipe.seed, spec)
     twins = {dotted: values[spec.twin] for dotted, values in recipe.twins.items()}
     changes: list[tuple[Key, Any]] = [(varied.key, value) for varied, value in draws]
     changes += twin_changes(recipe, spec.twin)
     where = f"{recipe.name}, frame {spec.index}"
     drawn = as_json(draws) | {dotted: json_value(value) for dotted, value in twins.items()}
-    return FrameValues(changed_recipe(recipe, changes, where, spec.camera), drawn)
+    return changed_recipe(recipe, changes, where, spec.camera), drawn
 
 
 def twin_changes(recipe: Recipe, twin: int) -> list[tuple[Key, Any]]:
@@ -172,8 +163,8 @@ class FrameSetups:
         """The setup of a frame; raises `InputError` if drawn values are not valid together."""
         if self.same_for_all:
             return self._only
-        values = frame_values(self.resolved.recipe, spec)
-        recipe, where = values.recipe, f"{self.resolved.recipe.name}, frame {spec.index}"
+        recipe, drawn = frame_values(self.resolved.recipe, spec)
+        where = f"{self.resolved.recipe.name}, frame {spec.index}"
         tables = recipe.model_dump(mode="json")
         plants = _key(tables, PLANT_TABLES)
         light = _key(tables, ("daylight",))
@@ -183,7 +174,7 @@ class FrameSetups:
             cultivar=self._part("cultivar", plants, lambda: load_recipe_cultivar(recipe, where, files)),
             camera=self._part("camera", optics, lambda: load_camera(recipe, where, files)),
             cover=self._part("cover", light, lambda: load_recipe_cover(recipe, where, files)),
-            drawn=values.drawn,
+            drawn=drawn,
             plants=plants,
             light=light,
             optics=optics,

@@ -104,9 +104,8 @@ def _classes() -> dict[str, OrganClass]:
 
 def organ_target(mesh: Mesh, instance: int, space: FreeSpace) -> Target:
     """An organ with triangles as a target."""
-    triangles = _triangles(mesh, instance)
-    centroid = _centroid(triangles, np.linalg.norm(area_normals(triangles), axis=1))
-    samples = sample_surface(triangles, _SAMPLES)
+    centroid = organ_centroid(mesh, instance)
+    samples = sample_surface(_triangles(mesh, instance), _SAMPLES)
     if samples is None:
         return Target(instance, centroid, centroid[None], None, False)
     return Target(instance, centroid, samples.points, samples.normals, space.is_closed(instance))
@@ -115,21 +114,17 @@ def organ_target(mesh: Mesh, instance: int, space: FreeSpace) -> Target:
 def organ_centroid(mesh: Mesh, instance: int) -> FloatArray:
     """`(3,)` centroid of the surface of an organ with triangles; the mean corner of one without area."""
     triangles = _triangles(mesh, instance)
-    return _centroid(triangles, np.linalg.norm(area_normals(triangles), axis=1))
-
-
-def _triangles(mesh: Mesh, instance: int) -> FloatArray:
-    """`(n, 3, 3)` corners of an instance's triangles."""
-    return mesh.vertices[mesh.faces[mesh.face_runs.rows(instance)]].astype(float)
-
-
-def _centroid(triangles: FloatArray, areas: FloatArray) -> FloatArray:
-    """`(3,)` centroid of `(n, 3, 3)` triangles with `(n,)` areas; their mean corner if they have no area."""
+    areas = np.linalg.norm(area_normals(triangles), axis=1)
     total = np.cumsum(areas)[-1]
     if not total > 0.0:
         return np.asarray(triangles.mean(axis=(0, 1)))
     first, second, third = triangles.transpose(1, 0, 2)
     return np.asarray(areas @ (first + second + third) / (3.0 * total))
+
+
+def _triangles(mesh: Mesh, instance: int) -> FloatArray:
+    """`(n, 3, 3)` corners of an instance's triangles."""
+    return mesh.vertices[mesh.faces[mesh.face_runs.rows(instance)]].astype(float)
 
 
 def point_target(point: tuple[float, float, float]) -> Target:
