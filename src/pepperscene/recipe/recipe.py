@@ -28,7 +28,6 @@ from pepperscene.recipe.camera_tables import (
     RigCamera,
     Twins,
 )
-from pepperscene.recipe.lamp_tables import LampTable
 from pepperscene.recipe.plan import Plan, check_seed
 from pepperscene.recipe.variation.varied import Varied
 from pepperscene.recipe.views_tables import ViewsTable
@@ -128,7 +127,7 @@ class Recipe(Document):
     override: dict[str, Any] = Field(default_factory=dict)
     rig: Annotated[tuple[RigCamera, ...], Field(max_length=MAX_CAMERAS - 1)] = ()
     twins: Twins = Field(default_factory=dict)
-    lamps: tuple[LampTable, ...] = ()
+    lamps: tuple[tables.LampTable, ...] = ()
     _variation: tuple[Varied, ...] = PrivateAttr(())
 
     @property

@@ -13,8 +13,12 @@ import numpy as np
 
 from pepperscene.errors import NEEDS_PERMISSION, InputError
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolve.load_camera import load_camera, load_depth_camera, surface_wavelengths
-from pepperscene.recipe.resolve.load_lamps import load_lamps
+from pepperscene.recipe.resolve.load_camera import (
+    load_camera,
+    load_depth_camera,
+    load_lamps,
+    surface_wavelengths,
+)
 from pepperscene.recipe.resolve.named_files import NamedFiles
 from pepperscene.recipe.tables import GrowthTable
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews
