@@ -59,16 +59,16 @@ class DatasetFrame:
     @cached_property
     def fruit(self) -> dict[int, dict[str, Any]]:
         """The entries of its harvest truth by instance; empty without that output."""
-        if "harvest" not in self.metadata["outputs"]:
-            return {}
-        return {entry["instance"]: entry for entry in self.image("harvest")["fruit"]}
+        return self._entries("harvest", "fruit")
 
     @cached_property
     def whole_organs(self) -> dict[int, dict[str, Any]]:
         """The entries of its output `amodal` by instance; empty without that output."""
-        if "amodal" not in self.metadata["outputs"]:
-            return {}
-        return {entry["instance"]: entry for entry in self.image("amodal")["organs"]}
+        return self._entries("amodal", "organs")
+
+    def _entries(self, output: str, key: str) -> dict[int, dict[str, Any]]:
+        entries = self.image(output)[key] if output in self.metadata["outputs"] else ()
+        return {entry["instance"]: entry for entry in entries}
 
     def fruit_for(self, selection: Selection) -> dict[int, dict[str, Any]]:
         """`fruit` if the objects of a selection depend on it, else nothing: the harvest truth is not read."""

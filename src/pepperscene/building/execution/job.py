@@ -15,9 +15,8 @@ import numpy as np
 from pepperscene.atomic import write_error
 from pepperscene.building.execution.options import BuildOptions as BuildOptions
 from pepperscene.building.memory import check_fits, frame_memory
-from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.scenes.frame_renderer import FrameRenderer, RendererFactory
 from pepperscene.building.scenes.scene_builder import SceneBuilder
-from pepperscene.building.scenes.scene_renderer import RendererFactory
 from pepperscene.dataset.store.dataset import FORMAT
 from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus

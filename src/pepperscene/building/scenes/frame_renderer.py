@@ -20,7 +20,6 @@ from pepperscene.building.scenes.optics import (
     prepare_for_mitsuba,
 )
 from pepperscene.building.scenes.scene_builder import BuiltScene, NearPlants, NearScene, SceneBuilder
-from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
 from pepperscene.building.scenes.skies import sky_above
 from pepperscene.building.scenes.turning import TurntableScenes, lamps_at, sky_at, turn_metadata, turn_of
 from pepperscene.building.subprocess_rpc import FunctionWorker
@@ -39,11 +38,13 @@ if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.recipe.views.fixed_views import View
-    from pepperscene.render import Quality
+    from pepperscene.render import Quality, Renderer
     from pepperscene.scene import Scene, Sky
 
+RendererFactory = Callable[["Scene"], "Renderer"]
 
-def mitsuba_renderer(scene: Scene) -> SceneRenderer:
+
+def mitsuba_renderer(scene: Scene) -> Renderer:
     """The Mitsuba renderer of a scene, imported when first needed."""
     from pepperscene.render import Renderer
 
@@ -70,7 +71,7 @@ class _HeldScene:
     key: tuple[str, int, int, bool, float]
     light: tuple[int, str, float]
     assembled: AssembledScene
-    renderer: SceneRenderer
+    renderer: Renderer
 
 
 class FrameRenderer:
@@ -145,7 +146,7 @@ class FrameRenderer:
         self,
         spec: FrameSpec,
         assembled: AssembledScene,
-        renderer: SceneRenderer,
+        renderer: Renderer,
         outputs: Sequence[str],
         quality: str | Quality = "standard",
         *,
@@ -188,11 +189,9 @@ class FrameRenderer:
         described = {**frame.metadata, **assembled.statistics}
         if exposure is not None and "auto_exposure" in described:
             described["auto_exposure"] = exposure.to_metadata(described["auto_exposure"])
-        if view is None:
-            described |= turn_metadata(spec, setup)
-        target = self.views.target(spec, assembled.scene) if view is None else None
-        if target is not None:
-            organ = assembled.scene.mesh.instances[target]
+        described |= turn_metadata(spec, setup) if view is None else {}
+        if view is None and (target := self.views.target(spec, scene)) is not None:
+            organ = scene.mesh.instances[target]
             described["target"] = {"instance": target + 1, "plant": organ.plant, "kind": organ.kind}
         return Frame(frame.images, described)
 
@@ -272,8 +271,8 @@ class FrameRenderer:
         setup = self.setups.at(spec)
         if nm is None:
             return self._optics(spec, setup, self.frames_of_scene(spec))
-        recipe = setup.recipe
-        return make_surfaces(setup.cultivar, *nm, recipe.skin_texture, recipe.stand), self.sky(spec)
+        texture, stand = setup.recipe.skin_texture, setup.recipe.stand
+        return make_surfaces(setup.cultivar, *nm, texture, stand), self.sky(spec)
 
     def finish(
         self, spec: FrameSpec, near: NearScene, optics: tuple[Mapping[str, Surface], Sky | None] | None

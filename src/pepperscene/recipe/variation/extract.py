@@ -156,11 +156,8 @@ def _models(annotation: Any) -> Iterator[type[Any]]:
 
 def _holds_tables(annotation: Any) -> bool:
     """Whether a type is a model, a table of free keys, or a container of them."""
-    if annotation is dict or typing.get_origin(annotation) is dict:
-        return True
-    if is_table(annotation):
-        return True
-    return any(_holds_tables(part) for part in typing.get_args(annotation))
+    is_free = annotation is dict or typing.get_origin(annotation) is dict
+    return is_free or is_table(annotation) or any(map(_holds_tables, typing.get_args(annotation)))
 
 
 def _is_list(annotation: Any) -> bool:

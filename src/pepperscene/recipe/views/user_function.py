@@ -93,7 +93,7 @@ def check_definition(table: FunctionViews, where: str | Path) -> None:
     try:
         tree = ast.parse(read_text(Path(table.file)), table.file)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(table.file, f"is not valid Python: {_line(error)}") from None
+        raise InputError(table.file, f"is not valid Python: {' '.join(str(error).split())}") from None
     names = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     names |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     names |= {
@@ -114,8 +114,3 @@ def _load(file: str, name: str, _content: str) -> Any:
     if not callable(function):
         raise InputError(file, "must define this function", key=name)
     return function
-
-
-def _line(error: BaseException) -> str:
-    """The message of an error in one line."""
-    return " ".join(str(error).split())
