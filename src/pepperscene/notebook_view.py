@@ -70,13 +70,9 @@ def _figure_html(content: str, caption: str) -> str:
 def frames_html(
     text: str, indices: Sequence[int], path: Callable[[int, str], Path], notes: Sequence[str] = ()
 ) -> str:
-    """HTML of some of a data set's frames, evenly spaced.
+    """HTML of some of a data set's frames, evenly spaced: a line, pictures, and a line for each note.
 
-    Args:
-        text: line above the pictures.
-        indices: of all frames.
-        path: from index and output to its file.
-        notes: lines below the pictures.
+    `indices` are those of all frames; `path` leads from index and output to its file.
     """
     return object_html(text, _pictures(indices, path), notes)
 

@@ -180,9 +180,7 @@ class Selection:
     ) -> tuple[Category, ...]:
         """The categories that an organ may belong to; none if it is not selected.
 
-        Args:
-            organ_class: of the organ.
-            fruit: its entry in the harvest truth, if it has one.
+        `fruit` is its entry in the harvest truth, if it has one.
         """
         parts = self._parts(organ_class, fruit)
         return tuple(category for category in self.categories if category.parts & parts)

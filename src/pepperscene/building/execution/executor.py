@@ -124,10 +124,7 @@ class Dispatcher:
     def lose(self, worker: Hashable, reason: str, *, is_only: bool = False) -> None:
         """Requeue the unfinished frames of a lost worker.
 
-        Args:
-            worker: that was lost.
-            reason: how it was lost.
-            is_only: whether the build has no other worker, which could have taken the memory.
+        `is_only`: whether the build has no other worker, which could have taken the memory.
 
         Raises:
             WorkerError: its first unfinished frame has ended as many workers as are allowed.

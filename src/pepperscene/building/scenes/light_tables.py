@@ -179,12 +179,9 @@ def write_light(tables: OrganLight, folder: str | Path, file_format: str = "parq
 
 
 def lit_scene(renderer: FrameRenderer, spec: FrameSpec, nm: tuple[float, float]) -> Scene:
-    """The scene of a frame that light is traced in: complete, with coarse plants in far rows.
+    """The scene of a frame that light of a range of wavelengths is traced in.
 
-    Args:
-        renderer: of the recipe.
-        spec: the frame.
-        nm: range of wavelengths.
+    It is complete, with coarse plants in far rows.
     """
     from pepperscene.scene import assemble_scene
 

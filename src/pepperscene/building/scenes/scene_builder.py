@@ -157,13 +157,9 @@ class SceneBuilder:
         return BuiltScene(mesh, contacts, skeleton, tuple(far_rows), begin, len(staying))
 
     def with_full_plants(self, built: BuiltScene, numbers: Collection[int]) -> BuiltScene:
-        """The scene with some plants of the far rows grown in full.
+        """The scene, which `scene` has built, with the plants of these numbers in far rows grown in full.
 
         With labels they are part of the skeleton, so that their fruit have harvest truth.
-
-        Args:
-            built: of `scene`.
-            numbers: of these plants.
         """
         from pepperscene.geometry import concatenate_meshes
         from pepperscene.scene import far_row_meshes

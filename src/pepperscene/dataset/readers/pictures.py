@@ -151,12 +151,7 @@ def mark_orientation(
 def read_mask_of(photo: Path, path: Path, exif: Exif | None = None) -> MaskImage | None:
     """Read the mask of a photograph, turned as `read_photo` turns the photograph; None for another size.
 
-    A mask that has an EXIF orientation itself is displayed by it.
-
-    Args:
-        photo: the photograph.
-        path: the mask.
-        exif: see `mark_orientation`.
+    A mask that has an EXIF orientation itself is displayed by it. `exif` is as of `mark_orientation`.
 
     Raises:
         InputError: as `read_mask` and `mark_orientation`.

@@ -198,14 +198,14 @@ def _interpolate(image: NDArray[np.uint8], rows: _Span, columns: _Span) -> NDArr
 
 @dataclass(frozen=True, kw_only=True)
 class _ImageStep(AugmentationStep):
-    """A step that changes the image alone, with a probability; its strengths are from 0 to `largest`."""
+    """A step that changes the image alone, with a probability; its strengths have largest values."""
 
     probability: float = 1.0
-    largest: ClassVar[Strengths] = {}
+    _largest: ClassVar[Strengths] = {}
 
     def __post_init__(self) -> None:
         _check_probability(self.probability)
-        for name, largest in self.largest.items():
+        for name, largest in self._largest.items():
             _check_strength(name, getattr(self, name), largest)
 
     def apply(self, arrays: Arrays, rng: np.random.Generator) -> Arrays:
@@ -244,7 +244,7 @@ class ColourJitter(_ImageStep):
     gamma: float = 0.2
     gains: float = 0.06
     probability: float = 0.8
-    largest: ClassVar[Strengths] = {
+    _largest: ClassVar[Strengths] = {
         "hue": 0.5,
         **dict.fromkeys(("brightness", "contrast", "saturation", "gamma", "gains"), 1.0),
     }
@@ -292,7 +292,7 @@ class RandomBlur(_ImageStep):
 
     sigma_px: float = 1.5
     probability: float = 0.3
-    largest: ClassVar[Strengths] = {"sigma_px": 100.0}
+    _largest: ClassVar[Strengths] = {"sigma_px": 100.0}
 
     def change(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
         """The blurred image."""
@@ -314,7 +314,7 @@ class RandomNoise(_ImageStep):
 
     sigma: float = 8.0
     probability: float = 0.5
-    largest: ClassVar[Strengths] = {"sigma": 255.0}
+    _largest: ClassVar[Strengths] = {"sigma": 255.0}
 
     def change(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
         """The noisy image."""

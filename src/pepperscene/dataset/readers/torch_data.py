@@ -119,12 +119,7 @@ class MaskClasses:
         return tuple(category.name for category in self.selection.categories)
 
     def mask(self, images: ImageSet, position: int, class_ids: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """`(h, w)` the class values of an image, 255 for pixels to ignore.
-
-        Args:
-            images: the set.
-            position: of the image in the set.
-            class_ids: `(h, w)` its class image.
+        """`(h, w)` the class values of the image at a position, by its class image; 255 for pixels to ignore.
 
         Raises:
             InputError: a frame lacks an output that its ripe and unripe fruit need.

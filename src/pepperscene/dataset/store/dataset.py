@@ -126,11 +126,9 @@ class Dataset:
     def write_tables(self, rows: Mapping[int, Row] | None = None) -> None:
         """Write `manifest.parquet`, and `fruit.parquet` if frames have the output `harvest`.
 
-        Several builds of one folder may call this at the same time: the last table holds all frames. Raises
-        `OutputError` if a table cannot be written.
-
-        Args:
-            rows: of frames that the caller has just written, by index, so that they need not be read again.
+        Several builds of one folder may call this at the same time: the last table holds all frames. `rows`
+        of frames that the caller has just written, by index, need not be read again. Raises `OutputError` if
+        a table cannot be written.
         """
         try:
             # No frame is added meanwhile.

@@ -32,10 +32,8 @@ _AUTO: Final = "auto"
 def drawn_columns(info: Mapping[str, Any]) -> dict[str, str]:
     """Further columns of a data set's manifest and their types; none for a recipe without variation.
 
-    They follow from the recipe alone, so that they do not depend on which frames exist.
-
-    Args:
-        info: the content of `dataset.json`, not validated.
+    They follow from the recipe in `dataset.json`, which need not be valid, so that they do not depend on
+    which frames exist.
     """
     recipe = as_mapping(info.get("recipe"))
     variation, twins = as_mapping(recipe.get("variation")), as_mapping(recipe.get("twins"))

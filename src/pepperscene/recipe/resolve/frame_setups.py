@@ -91,13 +91,9 @@ def _change(tables: dict[str, Any], key: Key, value: Any, where: str) -> None:
 def as_written(
     error: InputError, recipe: Recipe, changes: Iterable[tuple[Key, Any]], camera: int = 0
 ) -> InputError:
-    """An error of a frame's recipe, with the key under which the recipe's file holds its value.
+    """An error of a changed recipe's frame, with the key under which the recipe's file holds its value.
 
-    Args:
-        error: of the changed recipe.
-        recipe: with its rig and twins.
-        changes: of the recipe; those of twins are searched.
-        camera: number of the camera on the rig.
+    The recipe has its rig and twins; of the changes, those of twins are searched.
     """
     parts = error.key.split(".")
     if camera and parts[0] == "camera" and (len(parts) == 1 or parts[1] in recipe.rig[camera - 1].camera):

@@ -87,10 +87,7 @@ class ResolvedRecipe:
 def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> ResolvedRecipe:
     """Load the files that a recipe names with its typical values.
 
-    Args:
-        recipe: the validated recipe.
-        where: name of the recipe in error messages; by default its own.
-        files: those that are loaded already; these are added.
+    Errors name `where`, by default the recipe; `files` are those that are loaded already, and get these.
 
     Raises:
         InputError: a file is missing or not valid, or the parts do not fit together.

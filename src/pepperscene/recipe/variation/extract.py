@@ -27,12 +27,7 @@ FIXED: Final = {"name", "seed", "plan", "expect", "twins", "rig", "lamps"}
 def extract_varied(
     table: Mapping[str, Any], model: Any, where: str
 ) -> tuple[dict[str, Any], tuple[Varied, ...]]:
-    """Separate a recipe's table into one with typical values and the varied values.
-
-    Args:
-        table: as in the file.
-        model: of the recipe.
-        where: name of the recipe in errors.
+    """Separate a recipe's table, as in its file, into one with typical values and the varied values.
 
     Raises:
         InputError: the table of a varied value is not valid, or a value cannot vary.

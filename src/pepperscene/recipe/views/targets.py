@@ -55,12 +55,9 @@ class Target:
 def target_instances(scene: Scene, name: str, where: str | Path) -> NDArray[np.intp]:
     """`(n,)` indices of the instances that a target's name refers to, ascending.
 
-    Only instances of the recipe's own plants that have triangles count, not those of far rows.
-
-    Args:
-        scene: with its skeleton, if it has one, which holds the kinds of organs and the ripeness of fruit.
-        name: one of `FRUIT_TARGETS`, an organ kind, or a class in lower case.
-        where: name of the recipe, for errors.
+    Only instances of the recipe's own plants that have triangles count, not those of far rows. The name is
+    one of `FRUIT_TARGETS`, an organ kind, or a class in lower case. A skeleton of the scene holds the kinds
+    of organs and the ripeness of fruit.
 
     Raises:
         InputError: no organ of the plants has this name, or none of them is in the scene.

@@ -32,12 +32,6 @@ def function_poses(
 ) -> NDArray[np.float64]:
     """Call a function `poses(scene, rng)` of a file; it returns `(frames, 4, 4)` camera-to-world poses.
 
-    Args:
-        table: file and name of the function.
-        scene: with all its triangles.
-        rng: the random generator of the scene's views.
-        frames: number of poses that the plan needs.
-
     Raises:
         InputError: the file has no such function, or it fails or returns something else.
     """
