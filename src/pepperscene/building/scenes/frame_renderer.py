@@ -61,15 +61,11 @@ class AssembledScene:
 
 @dataclass(frozen=True, eq=False)
 class _HeldScene:
-    """The scene that is held, and its renderer.
+    """The scene that is held, and its renderer."""
 
-    Attributes:
-        key: plants, set, rotation, whether it has surfaces and light, and the turn of the plant.
-        light: what the scene's own sky depends on.
-    """
-
+    # Plants, set, rotation, whether it has surfaces and light, and the turn of the plant.
     key: tuple[str, int, int, bool, float]
-    light: tuple[int, str, float]
+    light: tuple[int, str, float]  # what the scene's own sky depends on
     assembled: AssembledScene
     renderer: Renderer
 

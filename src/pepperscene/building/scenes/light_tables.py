@@ -234,16 +234,11 @@ def _time_row(sky: Sky | None, hours: float | None) -> Row:
 
 @dataclass(frozen=True, eq=False)
 class _Organs:
-    """The organs of a tracer: their columns, and the groups that each belongs to.
+    """The organs of a tracer: their columns, and the groups that each belongs to."""
 
-    Attributes:
-        columns: of each organ.
-        classes: names of the classes, and `(n,)` that of each organ.
-        groups: columns of the groups of plants, layers and rows, and `(n,)` the group of each organ.
-    """
-
-    columns: list[Row]
-    classes: tuple[list[str], NDArray[np.intp]]
+    columns: list[Row]  # of each organ
+    classes: tuple[list[str], NDArray[np.intp]]  # names of the classes, and `(n,)` that of each organ
+    # Columns of the groups of plants, layers and rows, and `(n,)` the group of each organ.
     groups: dict[str, tuple[list[Row], NDArray[np.intp]]]
 
     @classmethod
@@ -261,24 +256,16 @@ class _Organs:
         for k, item in enumerate(items):
             x, y, z = centre[k].tolist()
             organ = {"plant": item.plant, "instance": int(instances[k]) + 1, "kind": item.kind}
-            organ |= {
-                "class": names[k],
-                "phytomer": item.phytomer,
-                "row": int(row[k]),
-                "layer": int(layer[k]),
-            }
+            organ |= {"class": names[k], "phytomer": item.phytomer}
+            organ |= {"row": int(row[k]), "layer": int(layer[k])}
             columns.append(organ | {"x_m": x, "y_m": y, "z_m": z})
         groups = {}
-        for table, key, values in (
-            ("plants", "plant", plant),
-            ("layers", "layer", layer),
-            ("rows", "row", row),
-        ):
+        for key, values in (("plant", plant), ("layer", layer), ("row", row)):
             found, group = np.unique(values, return_inverse=True)
             keys: list[Row] = [{key: int(value)} for value in found]
             if key == "layer":
                 keys = [one | {"z_m": layer_m * one["layer"]} for one in keys]
-            groups[table] = keys, group
+            groups[f"{key}s"] = keys, group
         found, number = np.unique(names, return_inverse=True)
         return cls(columns, (found.tolist(), number), groups)
 

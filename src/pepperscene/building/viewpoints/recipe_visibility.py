@@ -169,15 +169,9 @@ def _observe(
 
 @dataclass(frozen=True, eq=False)
 class _PoseSource:
-    """Scenes and poses of a recipe, or poses from elsewhere.
+    """Scenes and poses of a recipe, or poses from elsewhere."""
 
-    Attributes:
-        renderer: of the recipe; its scenes are not culled.
-        options: where poses come from.
-        from_file: poses of a file, or None.
-    """
-
-    renderer: FrameRenderer
+    renderer: FrameRenderer  # its scenes are not culled
     options: ViewpointOptions
     from_file: PoseList | None
 

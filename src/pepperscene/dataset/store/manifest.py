@@ -308,10 +308,13 @@ def open_table_file(path: Path, folder: Path) -> pyarrow.NativeFile:
 
 
 def table_schema(columns: Mapping[str, str]) -> pyarrow.Schema:
-    """The Arrow schema of a table with these columns, as of `table_columns`."""
+    """The Arrow schema of a table with columns of these types; one with an s, such as "doubles", is a list."""
     import pyarrow
 
-    # Parquet names the entries of lists like this, so the schema is the same after reading.
-    doubles = pyarrow.list_(pyarrow.field("element", pyarrow.float64()))
-    types = [doubles if kind == "doubles" else pyarrow.type_for_alias(kind) for kind in columns.values()]
-    return pyarrow.schema(zip(columns, types, strict=True))
+    def arrow_type(kind: str) -> pyarrow.DataType:
+        if not kind.endswith("s"):
+            return pyarrow.type_for_alias(kind)
+        # Parquet names the entries of lists like this, so the schema is the same after reading.
+        return pyarrow.list_(pyarrow.field("element", pyarrow.type_for_alias(kind.removesuffix("s"))))
+
+    return pyarrow.schema([(name, arrow_type(kind)) for name, kind in columns.items()])

@@ -36,19 +36,12 @@ DrawnViews = Mapping[tuple[int, Views], "View | RandomView"]
 
 @dataclass(eq=False)
 class _SceneViews:
-    """The views of a scene that depend on it.
+    """The views of a scene that depend on it."""
 
-    Attributes:
-        drawn: so far.
-        earlier: those of the scene before its near plants were grown in full.
-        coarse: plants that no view may show from near, or None.
-        space: its free space, or None until it is needed.
-    """
-
-    drawn: dict[tuple[int, Views], View | RandomView] = field(default_factory=dict)
-    earlier: DrawnViews = field(default_factory=dict)
-    coarse: CoarsePlants | None = None
-    space: FreeSpace | None = None
+    drawn: dict[tuple[int, Views], View | RandomView] = field(default_factory=dict)  # so far
+    earlier: DrawnViews = field(default_factory=dict)  # before its near plants were grown in full
+    coarse: CoarsePlants | None = None  # plants that no view may show from near
+    space: FreeSpace | None = None  # None until it is needed
 
 
 class CameraViews:
