@@ -308,7 +308,7 @@ def open_table_file(path: Path, folder: Path) -> pyarrow.NativeFile:
 
 
 def table_schema(columns: Mapping[str, str]) -> pyarrow.Schema:
-    """The Arrow schema of a table with columns of these types; one with an s, such as "doubles", is a list."""
+    """The Arrow schema of a table with these columns; a type with an s, such as "doubles", is a list."""
     import pyarrow
 
     def arrow_type(kind: str) -> pyarrow.DataType:
