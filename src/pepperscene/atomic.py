@@ -113,6 +113,15 @@ def write_error(error: OSError, path: Path) -> OutputError:
     return OutputError(f"{error.filename or path}: cannot be written ({error.strerror or error})")
 
 
+@contextmanager
+def write_errors(path: Path) -> Iterator[None]:
+    """Raise `OutputError`, as of `write_error`, where the system refuses to write."""
+    try:
+        yield
+    except OSError as error:
+        raise write_error(error, path) from None
+
+
 def make_folder(folder: Path, created: list[Path]) -> None:
     """Make a folder and its missing parents, and append those to `created`."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pepperscene.atomic import write_error
+from pepperscene.atomic import write_errors
 from pepperscene.building.execution.executor import (
     MAX_WORKERS,
     Dispatcher,
@@ -221,10 +221,8 @@ class _Reporter:
         throughput.count(done.made)
         self.errors.add(self._target, done.row.get("error_codes"), done.row.get("noise_codes"))
         if done.made:
-            try:
+            with write_errors(self._dataset.folder):
                 append_timings(self._dataset.folder, done.row)
-            except OSError as error:
-                raise write_error(error, self._dataset.folder) from None
             self.rows[done.index] = done.row
             if len(self.rows) == 1:
                 self._check_disk((self._total - throughput.done) * int(done.row["bytes"]))
@@ -252,10 +250,8 @@ def _finish(
     Raises `OutputError` if another program has removed some of them.
     """
     # What was removed while the build ran and is known completely is written again.
-    try:
+    with write_errors(folder.dataset.folder):
         folder.prepare(())
-    except OSError as error:
-        raise write_error(error, folder.dataset.folder) from None
     _write_tables(folder.dataset, rows)
     lost = folder.lost_frames(indices, outputs)
     if lost:

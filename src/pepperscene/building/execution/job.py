@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from pepperscene.atomic import write_error
+from pepperscene.atomic import write_errors
 from pepperscene.building.execution.options import BuildOptions as BuildOptions
 from pepperscene.building.memory import check_fits, frame_memory
 from pepperscene.building.scenes.frame_renderer import FrameRenderer, RendererFactory
@@ -232,7 +232,7 @@ class FrameMaker:
     ) -> FrameDone:
         dataset, start = self._folder.dataset, time.perf_counter()
         metadata = self._job.frame_metadata(frame, spec)
-        try:
+        with write_errors(dataset.folder):
             # Folders are prepared once per output, because looking for temporary files reads them completely.
             if not self._prepared.issuperset(outputs):
                 self._folder.prepare(outputs)
@@ -244,8 +244,6 @@ class FrameMaker:
                 # Another build that was interrupted before its first frame has removed the empty folders.
                 self._folder.prepare(outputs)
                 written = dataset.commit(spec.index, images, metadata, status, self._image_threads)
-        except OSError as error:
-            raise write_error(error, dataset.folder) from None
         timing = {"render_s": render_s, "write_s": time.perf_counter() - start, "worker": self._worker}
         done = FrameDone(spec.index, True, {**written.row(), **timing})
         if self._eager:

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from pepperscene.atomic import check_can_write, write_files
 from pepperscene.building.scenes.scene_builder import SceneBuilder
+from pepperscene.classes import RIPE_FROM
 from pepperscene.cultivar.organs import FORMS, OrganForm
-from pepperscene.dataset.selection import RIPE_FROM
 from pepperscene.dataset.store.manifest import Row, TableColumn, axis_columns, column_types, rows_table
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec, Plan

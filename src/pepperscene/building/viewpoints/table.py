@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.atomic import atomic_write, check_can_write, write_error
+from pepperscene.atomic import atomic_write, check_can_write, write_errors
 from pepperscene.building.viewpoints.recipe_visibility import SceneVisibility, ViewpointOptions
 from pepperscene.dataset.store.manifest import table_schema
 from pepperscene.errors import ArgumentError
@@ -74,7 +74,7 @@ def write_visibility(
     origin = {"recipe": recipe.recipe.name, "seed": recipe.recipe.seed, "version": __version__}
     content = json.dumps({**origin, "samples": options.samples}, sort_keys=True).encode()
     schema, rows = table_schema(COLUMNS).with_metadata({METADATA_KEY: content}), 0
-    try:
+    with write_errors(path):
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
         with (
             atomic_write(path) as temporary,
@@ -83,8 +83,6 @@ def write_visibility(
             for scene in scenes:
                 writer.write_table(scene_table(scene).replace_schema_metadata(schema.metadata))
                 rows += len(scene.visibility)
-    except OSError as error:
-        raise write_error(error, path) from None
     return rows
 
 

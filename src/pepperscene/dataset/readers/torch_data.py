@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import RIPE_FROM, OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame, class_mask, mask_selection, numbers_by_class
 from pepperscene.dataset.readers.image_set import ARRAYS, ImageSet
 from pepperscene.dataset.readers.open import RenderedSet
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_steps import ARRAY_KEYS
-from pepperscene.dataset.selection import RIPE_FROM, Selection, parse_categories
+from pepperscene.dataset.selection import Selection, parse_categories
 from pepperscene.dataset.store.recorded_values import fruit_name
 from pepperscene.errors import ArgumentError, InputError, SetupError
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
-from pepperscene.atomic import canonical_json, digest, exclusive_access, write_error, write_file
+from pepperscene.atomic import canonical_json, digest, exclusive_access, write_errors, write_file
 from pepperscene.camera.sensor.bands import Band
 from pepperscene.dataset.store.frame_json import (
     CHECKSUM,
@@ -130,15 +130,12 @@ class Dataset:
         of frames that the caller has just written, by index, need not be read again. Raises `OutputError` if
         a table cannot be written.
         """
-        try:
-            # No frame is added meanwhile.
-            with exclusive_access(self.folder / FRAMES):
-                self._write_manifest(rows or {})
-                harvested = [index for index in self.indices() if self.path(index, "harvest").is_file()]
-                if harvested:
-                    write_table(self.folder / FRUIT, rows_table(self._fruit_rows(harvested), FRUIT_COLUMNS))
-        except OSError as error:
-            raise write_error(error, self.folder / MANIFEST) from None
+        # No frame is added meanwhile.
+        with write_errors(self.folder / MANIFEST), exclusive_access(self.folder / FRAMES):
+            self._write_manifest(rows or {})
+            harvested = [index for index in self.indices() if self.path(index, "harvest").is_file()]
+            if harvested:
+                write_table(self.folder / FRUIT, rows_table(self._fruit_rows(harvested), FRUIT_COLUMNS))
 
     def _write_manifest(self, rows: Mapping[int, Row]) -> None:
         """Write one row for each frame: of the manifest so far if the frame is the same, or a new one."""

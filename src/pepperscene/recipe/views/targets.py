@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import RIPE_FROM, OrganClass
 from pepperscene.errors import InputError
 from pepperscene.geometry.surface_samples import area_normals, sample_surface
 
@@ -23,9 +23,6 @@ FloatArray = NDArray[np.float64]
 
 FRUIT_TARGETS: Final = ("fruit", "ripe fruit", "unripe fruit")
 """Targets that work with every cultivar; others are names of its organ kinds, and of classes."""
-
-RIPE_FROM: Final = 0.5
-"""Mean ripeness from which a fruit counts as ripe, chosen: half of its colour has changed."""
 
 _SAMPLES: Final = 256
 """Points on an organ. Chosen: its visible fraction is known to about 0.02, and tracing so few rays takes
