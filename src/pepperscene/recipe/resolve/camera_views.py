@@ -158,9 +158,9 @@ class CameraViews:
         # Cameras that differ in their poses only are handled together.
         groups: dict[tuple[str, int, int], list[Camera]] = {}
         for spec in specs:
+            optics = self._setups.at(spec).optics
             for number, camera in enumerate(self._all_cameras(spec, self.view(spec))):
-                key = (self._setups.at(spec).optics, number, spec.camera)
-                groups.setdefault(key, []).extend(_along_motion(camera))
+                groups.setdefault((optics, number, spec.camera), []).extend(_along_motion(camera))
         parts = [
             view_frustums(cameras[0], [camera.pose for camera in cameras]) for cameras in groups.values()
         ]
@@ -203,7 +203,7 @@ class CameraViews:
             cameras.append(_stereo_partner(cameras[0], recipe.camera.baseline_m))
         if (control := recipe.exposure_control) is not None:
             cameras = [replace(camera, exposure_s=control.exposure_s[1]) for camera in cameras]
-        if (depth_camera := self.depth_camera(spec, view)) is not None:
+        if recipe.depth_camera is not None and (depth_camera := self.depth_camera(spec, view)) is not None:
             cameras += depth_camera.longest_exposed()
         return cameras
 
