@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from pepperscene.atomic import write_file
 from pepperscene.building.execution.build import build
 from pepperscene.building.execution.job import BuildOptions
-from pepperscene.building.scenes.frame_renderer import SceneRenderer, mitsuba_renderer
+from pepperscene.building.scenes.frame_renderer import mitsuba_renderer
 from pepperscene.cli.progress import echo_progress
 from pepperscene.dataset.readers import open_images
 from pepperscene.dataset.readers.image_set import ImageSet
@@ -44,6 +44,7 @@ from pepperscene.learning.experiments.sets import OUTPUTS, spread_frames
 from pepperscene.learning.options import TrainingOptions
 from pepperscene.materials import Surface
 from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
+from pepperscene.render import Renderer
 from pepperscene.review.report.data import evenly_spaced
 from pepperscene.scene import Scene
 
@@ -91,7 +92,7 @@ def in_three_bands(surface: Surface) -> Surface:
     )
 
 
-def render_with(change: Callable[[Surface], Surface], scene: Scene) -> SceneRenderer:
+def render_with(change: Callable[[Surface], Surface], scene: Scene) -> Renderer:
     """The renderer of a scene whose surfaces are changed."""
     return mitsuba_renderer(replace(scene, surfaces=tuple(change(surface) for surface in scene.surfaces)))
 

@@ -78,14 +78,10 @@ def write_file(path: Path, content: bytes, is_valid: Callable[[], bool] | None =
 def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Path] = ()) -> tuple[Path, ...]:
     """Write several files into a folder, which is made if missing: all or none.
 
-    All files are complete and flushed under temporary names before the first one is renamed. Renames follow
-    the order of `files`, so the last file only ever appears beside complete ones. If a file cannot be
-    written, everything that this call made is removed, folders included.
-
-    Args:
-        folder: of the files.
-        files: content by file name.
-        obsolete: files to remove between the last write and the first rename.
+    All files are complete and flushed under temporary names before the first one is renamed; then the
+    `obsolete` ones are removed. Renames follow the order of `files`, so the last file only ever appears
+    beside complete ones. If a file cannot be written, everything that this call made is removed, folders
+    included.
 
     Returns:
         The paths, in the order of `files`.
@@ -116,6 +112,15 @@ def write_files(folder: Path, files: Mapping[str, bytes], obsolete: Iterable[Pat
 def write_error(error: OSError, path: Path) -> OutputError:
     """The error to raise when the system refuses to write; `path` is named where the system names none."""
     return OutputError(f"{error.filename or path}: cannot be written ({error.strerror or error})")
+
+
+@contextmanager
+def write_errors(path: Path) -> Iterator[None]:
+    """Raise `OutputError`, as of `write_error`, where the system refuses to write."""
+    try:
+        yield
+    except OSError as error:
+        raise write_error(error, path) from None
 
 
 def make_folder(folder: Path, created: list[Path]) -> None:
@@ -302,9 +307,7 @@ def visible_names(folder: Path) -> list[str]:
 def remove_temporary_files(folder: Path, name: str = "") -> None:
     """Remove the temporary files and folders that killed processes left in a folder.
 
-    Args:
-        folder: that holds them.
-        name: of the file or folder that they were to become; "" for any.
+    With a `name`, only those that were to become the file or folder of this name.
     """
     for path in folder.iterdir():
         if is_temporary(path) and path.name.startswith(f".{name}"):

@@ -28,6 +28,9 @@ class OrganClass(IntEnum):
     CUT = 7
 
 
+RIPE_FROM: Final = 0.5
+"""Mean ripeness from which a fruit counts as ripe, chosen: half of its colour has changed."""
+
 PLANT_CLASSES: Final = frozenset(OrganClass) - {OrganClass.BACKGROUND, OrganClass.WIRE}
 """Classes of organs, without the twine that holds them."""
 

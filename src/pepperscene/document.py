@@ -8,14 +8,14 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pepperscene.errors import InputError
 from pepperscene.shipped import ShippedFolder, find_file
+from pepperscene.units import type_adapter
 from pepperscene.user_files import FileKind, read_file
 
 _INTEGERS: Final = range(-(2**63), 2**63)
@@ -185,14 +185,9 @@ def validate(model: type[Model], data: Mapping[str, Any], where: str | Path) -> 
     """
     try:
         kind: Any = model
-        return cast("Model", _adapter(kind).validate_python(data))
+        return cast("Model", type_adapter(kind).validate_python(data))
     except ValidationError as error:
         raise _as_input_error(error, data, where) from None
-
-
-@cache
-def _adapter(model: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(model)
 
 
 def _as_input_error(error: ValidationError, data: Any, where: str | Path) -> InputError:

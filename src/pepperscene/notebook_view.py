@@ -45,12 +45,7 @@ def picture_html(picture: NDArray[np.uint8] | BinaryIO, caption: str) -> str:
         small.save(file, "PNG")
     source = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
     image_tag = f'<img src="{source}" width="{small.width}" height="{small.height}" alt="">'
-    return _figure_html(image_tag, caption)
-
-
-def svg_figure_html(svg: str, caption: str) -> str:
-    """A drawing with a caption."""
-    return _figure_html(svg, caption)
+    return figure_html(image_tag, caption)
 
 
 def object_html(text: str, figures: Iterable[str] = (), notes: Iterable[str] = ()) -> str:
@@ -62,7 +57,8 @@ def object_html(text: str, figures: Iterable[str] = (), notes: Iterable[str] = (
     return "".join(parts)
 
 
-def _figure_html(content: str, caption: str) -> str:
+def figure_html(content: str, caption: str) -> str:
+    """A picture or a drawing, as HTML or SVG, with a caption."""
     label = f'<figcaption style="font-size:smaller">{html.escape(caption)}</figcaption>'
     return f'<figure style="margin:0">{content}{label}</figure>'
 
@@ -70,13 +66,9 @@ def _figure_html(content: str, caption: str) -> str:
 def frames_html(
     text: str, indices: Sequence[int], path: Callable[[int, str], Path], notes: Sequence[str] = ()
 ) -> str:
-    """HTML of some of a data set's frames, evenly spaced.
+    """HTML of some of a data set's frames, evenly spaced: a line, pictures, and a line for each note.
 
-    Args:
-        text: line above the pictures.
-        indices: of all frames.
-        path: from index and output to its file.
-        notes: lines below the pictures.
+    `indices` are those of all frames; `path` leads from index and output to its file.
     """
     return object_html(text, _pictures(indices, path), notes)
 

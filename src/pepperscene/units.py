@@ -164,14 +164,15 @@ def default_value(model: Any, key: str) -> Any:
 
 
 @cache
-def _adapter(table: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(table)
+def type_adapter(model: Any) -> TypeAdapter[Any]:
+    """Pydantic's adapter of a model or a data class, made once."""
+    return TypeAdapter(model)
 
 
 def file_values(table: Any, **options: Any) -> dict[str, Any]:
     """The values of a table as in a file; `options` are those of pydantic's `dump_python`."""
     kind: Any = type(table)
-    values: dict[str, Any] = _adapter(kind).dump_python(table, **options)
+    values: dict[str, Any] = type_adapter(kind).dump_python(table, **options)
     return values
 
 

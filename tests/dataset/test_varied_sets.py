@@ -162,7 +162,7 @@ def test_the_record_of_a_recipe_draws_the_values_of_each_frame():
     assert {varied.name: varied.identity() for varied in variation} == recorded["variation"]
     for index in (0, 1, 77, recipe.plan.count - 1):
         spec = recipe.plan.frame(index)
-        assert recorded_draws(recorded, variation, spec) == frame_values(recipe, spec).drawn
+        assert recorded_draws(recorded, variation, spec) == frame_values(recipe, spec)[1]
 
 
 def test_automatic_exposures_are_in_the_manifest_and_the_report(tmp_path):

@@ -18,8 +18,7 @@ from annotated_types import Ge, Le, MaxLen, MinLen, MultipleOf
 from pepperscene.camera import ImageProcessor, StereoMatching
 from pepperscene.recipe import views_tables
 from pepperscene.recipe.camera_tables import AutoExposureTable
-from pepperscene.recipe.lamp_tables import LampTable
-from pepperscene.recipe.tables import GrowthTable, WhiteReferenceTable
+from pepperscene.recipe.tables import GrowthTable, LampTable, WhiteReferenceTable
 from pepperscene.scene import CalibrationChart, Daylight, DoubleRow, Greenhouse, Stand, Twine
 from pepperscene.units import Name, Unit, ZeroOrAtLeast, file_key, is_table
 

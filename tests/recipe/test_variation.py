@@ -29,7 +29,7 @@ def load(tmp_path):
 def drawn(recipe, key):
     """The values of the first 24 frames."""
     plan = recipe.plan
-    return [frame_values(recipe, plan.frame(index)).drawn[key] for index in range(min(24, plan.count))]
+    return [frame_values(recipe, plan.frame(index))[1][key] for index in range(min(24, plan.count))]
 
 
 def test_values_have_the_type_of_their_key(load):
@@ -44,7 +44,7 @@ def test_values_have_the_type_of_their_key(load):
     }  # fmt: skip
     for key, values in expected.items():
         assert sorted(set(drawn(recipe, key)), key=str) == sorted(values, key=str)
-    first = frame_values(recipe, recipe.plan.frame(0)).recipe
+    first, _ = frame_values(recipe, recipe.plan.frame(0))
     assert isinstance(first.growth.date, datetime.date)
 
 
@@ -75,9 +75,7 @@ def test_values_in_turn_follow_their_number(load):
 
 def test_values_in_lists_vary_and_the_others_stay(load):
     recipe = load("developing.white_balance_error = [{ low = 0.9, high = 1.1 }, 1, { in_turn = [0.8, 1.2] }]")
-    errors = [
-        frame_values(recipe, recipe.plan.frame(i)).recipe.developing.white_balance_error for i in range(20)
-    ]
+    errors = [frame_values(recipe, recipe.plan.frame(i))[0].developing.white_balance_error for i in range(20)]
     assert len({red for red, _, _ in errors}) == 20
     assert {green for _, green, _ in errors} == {1.0}
     assert [blue for _, _, blue in errors] == [0.8, 1.2] * 10
@@ -144,7 +142,7 @@ def test_twins_of_a_moment_have_their_own_values_and_the_same_draws(load):
     moments = {}
     for index in range(plan.count):
         spec = plan.frame(index)
-        camera = frame_values(recipe, spec).recipe.camera
+        camera = frame_values(recipe, spec)[0].camera
         assert (camera.gain, camera.bits) == [(1, 8), (2, 10), (4, 12)][spec.twin]
         moments.setdefault(spec.moment, []).append((spec.twin, camera.focus_m))
     assert sorted(moments) == list(range(6))
@@ -159,9 +157,9 @@ def test_a_list_of_twins_replaces_the_varied_values_in_it(load):
         "[twins]\n'developing.white_balance_error' = [[1, 1, 1], [1.2, 1, 1]]"
     )
     assert recipe.variation == ()
-    last = frame_values(recipe, recipe.plan.frame(recipe.plan.count - 1))
-    assert last.drawn == {"developing.white_balance_error": [1.2, 1, 1]}
-    assert last.recipe.developing.white_balance_error == (1.2, 1, 1)
+    last, drawn = frame_values(recipe, recipe.plan.frame(recipe.plan.count - 1))
+    assert drawn == {"developing.white_balance_error": [1.2, 1, 1]}
+    assert last.developing.white_balance_error == (1.2, 1, 1)
 
 
 @pytest.mark.long
@@ -256,8 +254,8 @@ def test_twins_with_other_views_have_their_own_poses_in_any_order(tmp_path):
     specs = [recipe.plan.frame(index) for index in range(4)]
     scene = type("StandIn", (), {})()
     forwards, backwards = rig_views(recipe), rig_views(recipe)
-    first = [forwards.camera(spec, scene).pose for spec in specs]
-    last = [backwards.camera(spec, scene).pose for spec in reversed(specs)][::-1]
+    first = [forwards.view(spec, scene).pose for spec in specs]
+    last = [backwards.view(spec, scene).pose for spec in reversed(specs)][::-1]
     np.testing.assert_array_equal(first, last)
     np.testing.assert_allclose(first[2][0, 3] - first[0][0, 3], 5)
 

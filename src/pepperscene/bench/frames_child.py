@@ -158,10 +158,11 @@ def render_frames(task: FramesTask) -> dict[str, Any]:
 
 def _build_scene(frame_renderer: Any, frame: Any, traced: bool, divided: int, times: Times) -> Any:
     """Build the scene; making plants, placing them and culling are timed separately."""
-    builder = frame_renderer._builder(frame_renderer.setups.at(frame))
+    builder = frame_renderer.builder(frame)
     builder.plants = time_calls(times, "plants", builder.plants)
     builder.scene = time_calls(times, "place row and resolve contacts", builder.scene)
-    frame_renderer._cull = time_calls(times, "cull hidden geometry", frame_renderer._cull)
+    culled_mesh = frame_renderer._culled_mesh
+    frame_renderer._culled_mesh = time_calls(times, "cull hidden geometry", culled_mesh)
     with timed(times, "surfaces and sky"):
         scene = frame_renderer.scene(frame, traced=traced)
     times["surfaces and sky"] -= times["place row and resolve contacts"] + times["cull hidden geometry"]

@@ -18,7 +18,7 @@ import psutil
 
 from pepperscene.camera import Camera, DepthCamera
 from pepperscene.camera.sensor.rows import row_strips
-from pepperscene.errors import ArgumentError, InputError, SetupError, is_out_of_memory
+from pepperscene.errors import ArgumentError, InputError, PepperError, SetupError, is_out_of_memory
 from pepperscene.outputs import DEPTH_CAMERA_OUTPUTS, OUTPUTS
 
 MEMORY: Final = "PEPPERSCENE_MEMORY"
@@ -161,14 +161,17 @@ def format_size(size: float) -> str:
 
 
 @contextmanager
-def report_memory_errors() -> Iterator[None]:
-    """Raise `SetupError` instead of the errors by which Python and the libraries report missing memory."""
+def report_memory_errors(instead: PepperError | None = None) -> Iterator[None]:
+    """Raise another error instead of those by which Python and the libraries report missing memory.
+
+    `instead` is a `SetupError` by default.
+    """
     try:
         yield
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
-        raise SetupError(
+        raise instead or SetupError(
             "memory ran out; complete frames are kept: use fewer pixels, fewer outputs or fewer plants, or a "
             "machine with more memory"
         ) from None

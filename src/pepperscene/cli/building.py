@@ -278,10 +278,15 @@ def traits(
     set: SetOption = None,
 ) -> None:
     """Write traits of each plant, leaf and fruit of a scene as tables, on all dates of a growth series."""
-    from pepperscene.building.scenes.trait_tables import check_traits_output, plant_traits, write_traits
+    from pepperscene.building.scenes.trait_tables import (
+        TABLES,
+        check_tables_output,
+        plant_traits,
+        write_traits,
+    )
     from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
-    check_traits_output(out, form)
+    check_tables_output(TABLES, out, form)
     tables = plant_traits(resolve_recipe(recipe, parse_changes(set or ()), seed), frame, echo_progress)
     plants, leaves, fruit = (table.num_rows for table in (tables.plants, tables.leaves, tables.fruit))
     typer.echo(f"{plants:,} plants, {leaves:,} leaves, {fruit:,} fruit")

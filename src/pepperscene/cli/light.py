@@ -22,10 +22,11 @@ def light(
     set: SetOption = None,
 ) -> None:
     """Write the light that each organ, plant, layer and row absorbs as tables, at a moment or over a day."""
-    from pepperscene.building.scenes.light_tables import check_light_output, light_tables, write_light
+    from pepperscene.building.scenes.light_tables import LIGHT_TABLES, light_tables, write_light
+    from pepperscene.building.scenes.trait_tables import check_tables_output
     from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
 
-    check_light_output(out, form)
+    check_tables_output(LIGHT_TABLES, out, form)
     resolved = resolve_recipe(recipe, parse_changes(set or ()), seed)
     tables = light_tables(resolved, frame, options, echo_progress)
     times = tables.times.num_rows

@@ -59,16 +59,16 @@ class DatasetFrame:
     @cached_property
     def fruit(self) -> dict[int, dict[str, Any]]:
         """The entries of its harvest truth by instance; empty without that output."""
-        if "harvest" not in self.metadata["outputs"]:
-            return {}
-        return {entry["instance"]: entry for entry in self.image("harvest")["fruit"]}
+        return self._entries("harvest", "fruit")
 
     @cached_property
     def whole_organs(self) -> dict[int, dict[str, Any]]:
         """The entries of its output `amodal` by instance; empty without that output."""
-        if "amodal" not in self.metadata["outputs"]:
-            return {}
-        return {entry["instance"]: entry for entry in self.image("amodal")["organs"]}
+        return self._entries("amodal", "organs")
+
+    def _entries(self, output: str, key: str) -> dict[int, dict[str, Any]]:
+        entries = self.image(output)[key] if output in self.metadata["outputs"] else ()
+        return {entry["instance"]: entry for entry in entries}
 
     def fruit_for(self, selection: Selection) -> dict[int, dict[str, Any]]:
         """`fruit` if the objects of a selection depend on it, else nothing: the harvest truth is not read."""
@@ -142,8 +142,7 @@ def mask_selection(selection: Selection) -> Selection:
 def numbers_by_class(selection: Selection) -> NDArray[np.uint8]:
     """`(256,)` the number of each class id of a class image, or `IGNORE_CLASS`.
 
-    Args:
-        selection: from `mask_selection`, whose categories do not depend on organs.
+    The selection is from `mask_selection`; its categories do not depend on organs.
     """
     numbers = np.full(256, IGNORE_CLASS, np.uint8)
     numbers[: len(OrganClass)] = [_number(selection, selection.category(organ)) for organ in OrganClass]
@@ -151,14 +150,10 @@ def numbers_by_class(selection: Selection) -> NDArray[np.uint8]:
 
 
 def class_mask(frame: DatasetFrame, selection: Selection) -> NDArray[np.uint8]:
-    """`(h, w)` the number of each pixel's class, or `IGNORE_CLASS`.
+    """`(h, w)` the number of each pixel's class in a selection from `mask_selection`, or `IGNORE_CLASS`.
 
     Organs that are not separate objects, and fruit of unknown ripeness, are ignored where the categories
     depend on them.
-
-    Args:
-        frame: with the outputs that the selection needs.
-        selection: from `mask_selection`.
     """
     if not selection.needs_organs:
         return numbers_by_class(selection)[frame.image("class")]

@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
-from pepperscene.classes import OrganClass, parse_class_mapping
+from pepperscene.classes import RIPE_FROM, OrganClass, parse_class_mapping
 from pepperscene.errors import ArgumentError
-
-RIPE_FROM: Final = 0.5
-"""Default ripeness that divides ripe from unripe fruit, as for the targets of views (chosen)."""
 
 Parts = frozenset[int]
 """What a category consists of: class ids, `_RIPE` for ripe and `_UNRIPE` for unripe fruit."""
@@ -180,9 +177,7 @@ class Selection:
     ) -> tuple[Category, ...]:
         """The categories that an organ may belong to; none if it is not selected.
 
-        Args:
-            organ_class: of the organ.
-            fruit: its entry in the harvest truth, if it has one.
+        `fruit` is its entry in the harvest truth, if it has one.
         """
         parts = self._parts(organ_class, fruit)
         return tuple(category for category in self.categories if category.parts & parts)

@@ -128,9 +128,7 @@ def read_splits(text: str | None, plan: Mapping[str, Any], indices: Sequence[int
 def shared_plants(members: Mapping[str, Sequence[int]], plan: Mapping[str, Any]) -> str:
     """Which splits show the same plants, and what separates them, in one sentence; "" if none do.
 
-    Args:
-        members: the frames of each split.
-        plan: of the recipe in `dataset.json`.
+    `plan` is that of the recipe in `dataset.json`.
     """
     whole_plan = _parse_plan(plan)
     per_scene, per_set = whole_plan.frames, whole_plan.frames * whole_plan.rotations

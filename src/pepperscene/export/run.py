@@ -19,7 +19,8 @@ from pepperscene.atomic import (
     remove_temporary_files,
     temporary_path,
 )
-from pepperscene.dataset.selection import RIPE_FROM, Selection, parse_categories
+from pepperscene.classes import RIPE_FROM
+from pepperscene.dataset.selection import Selection, parse_categories
 from pepperscene.dataset.splits import Splits as Splits
 from pepperscene.dataset.splits import read_splits, shared_plants
 from pepperscene.dataset.splits import split_by_sets as split_by_sets

@@ -60,9 +60,9 @@ class Plant:
 
     def _repr_html_(self) -> str:
         """A drawing from the side, for notebooks."""
-        from pepperscene.notebook_view import object_html, svg_figure_html
+        from pepperscene.notebook_view import figure_html, object_html
 
-        return object_html(repr(self), [svg_figure_html(_plant_svg(self), "seen along y")])
+        return object_html(repr(self), [figure_html(_plant_svg(self), "seen along y")])
 
     def of_kind(self, name: str) -> tuple[Organ, ...]:
         """Organs of one kind, in order."""

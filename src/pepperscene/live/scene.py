@@ -197,9 +197,10 @@ class LiveScene:
         far, builder, state = self._near.built.far_rows, self._frames.builder(self._spec), self._state
         if not far or setup.is_frame:
             return state
-        if setup.camera is None:
-            seen = self._frames.views.near_views([setup.spec], view=setup.view)
+        if setup.view is not None:
+            seen = self._frames.views.near_views([(setup.spec, setup.view)])
         else:
+            assert setup.camera is not None  # as it is no frame of the data set
             seen = near_views([setup.camera])
         if self._coarse is None or self._coarse[0] is not state.far:
             full = {number for row in far for number in row.plants.tolist()} - set(state.far.counts)

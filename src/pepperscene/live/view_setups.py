@@ -80,7 +80,7 @@ class ViewSetups:
     def camera(self, setup: ViewSetup) -> Camera:
         """The camera of a view."""
         view = setup.view or self._own_view(setup.spec)
-        return setup.camera or self._frames.views.camera(setup.spec, view=view)
+        return setup.camera or self._frames.views.camera(setup.spec, view)
 
     @cached_property
     def _frames_by_pose(self) -> dict[bytes, FrameSpec]:

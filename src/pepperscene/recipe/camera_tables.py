@@ -101,10 +101,7 @@ def _check_twins(twins: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]
     return twins
 
 
-Twins = Annotated[
-    dict[str, tuple[Any, ...]],
-    AfterValidator(_check_twins),
-]
+Twins = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_check_twins)]
 """Values by dotted key; twin k of a frame has value k of each."""
 
 

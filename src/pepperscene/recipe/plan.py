@@ -192,6 +192,10 @@ class Plan(Document):
             raise ArgumentError(argument, f"{problem}; the plan has frames 0 to {self.count - 1}")
         return tuple(sorted({int(index) for index in indices}))
 
+    def first_frame(self, index: int | None) -> FrameSpec:
+        """The frame of an index; None for the first that the plan selects. Errors: `select_indices`."""
+        return self.frame(self.select_indices(None if index is None else [index], "frame")[0])
+
     def _parse_range(self, text: str, argument: str) -> range:
         match = _RANGE.fullmatch(text.strip())
         first, end = (int(match[1] or 0), int(match[2] or self.count)) if match is not None else (0, 0)

@@ -27,7 +27,6 @@ from pepperscene.recipe.camera_tables import (
     RigCamera,
     Twins,
 )
-from pepperscene.recipe.lamp_tables import LampTable
 from pepperscene.recipe.plan import Plan, check_seed
 from pepperscene.recipe.variation.varied import Varied
 from pepperscene.recipe.views_tables import ViewsTable
@@ -127,7 +126,7 @@ class Recipe(Document):
     override: dict[str, Any] = Field(default_factory=dict)
     rig: Annotated[tuple[RigCamera, ...], Field(max_length=MAX_CAMERAS - 1)] = ()
     twins: Twins = Field(default_factory=dict)
-    lamps: tuple[LampTable, ...] = ()
+    lamps: tuple[tables.LampTable, ...] = ()
     _variation: tuple[Varied, ...] = PrivateAttr(())
 
     @property
@@ -220,23 +219,20 @@ def _fingerprints(part: str, folder: str | None, name: str) -> dict[str, dict[st
     """Names and digests of a file that a recipe names, and of those that it refers to."""
     if folder is None:
         return _cultivar_fingerprints(part, name)
+    path = Path(name)
     if folder == _CALIBRATIONS:
         from pepperscene.camera.optics.calibration import read_calibration
 
-        return {part: _fingerprint(Path(name), read_calibration(Path(name)).to_json())}
+        return {part: _fingerprint(path, read_calibration(path).to_json())}
     if folder == _COLOURS:
-        return (
-            {}
-            if name in STAND_COLOURS
-            else {part: _fingerprint(spectra_file(name), _spectra_values(spectra_file(name)))}
-        )
+        file = None if name in STAND_COLOURS else spectra_file(name)
+        return {} if file is None else {part: _fingerprint(file, _spectra_values(file))}
     if folder == _ISPS:
-        processor = load_processor(name).to_metadata()
-        return {part: _fingerprint(find_material(folder, name), processor)}
+        return {part: _fingerprint(find_material(folder, name), load_processor(name).to_metadata())}
     if folder == _TONES:
-        return {} if name in TONE_CURVES else {part: _fingerprint(Path(name), read_tone_curve(name))}
+        return {} if name in TONE_CURVES else {part: _fingerprint(path, read_tone_curve(name))}
     if folder == _POSES:
-        return {part: {"name": Path(name).stem, "sha256": atomic.digest(Path(name), "mesh")}}
+        return {part: {"name": path.stem, "sha256": atomic.digest(path, "mesh")}}
     return _material_fingerprints(part, find_material(folder, name))
 
 

@@ -65,8 +65,6 @@ class Views(Table):
 class ArcViews(Views):
     """An arc around the middle plant; azimuth and height run from the first to the second value.
 
-    With `speed_m_s` the camera moves while it takes the photographs.
-
     Attributes:
         distance_m: from the plant's axis.
         azimuth_rad: at the first and the last frame; 0 is in the aisle, positive towards +x.
@@ -134,7 +132,7 @@ class GridViews(Views):
 
 @dataclass(frozen=True, kw_only=True)
 class PoseViews(Views):
-    """Poses from a file. `motion`: timed poses blur the photographs along their path.
+    """Poses from a file.
 
     Attributes:
         file: path of a file of camera poses, relative to the recipe: TUM, CSV, nerfstudio or COLMAP. Its
@@ -150,10 +148,6 @@ class PoseViews(Views):
 @dataclass(frozen=True, kw_only=True)
 class PathViews(Views):
     """A smooth path through points at a constant speed; `motion` blurs the photographs along it.
-
-    The camera looks at a point, `look_at_m`, or in a direction, `azimuth_rad` (0 faces the row from its
-    aisle, positive turns to the left) and `pitch_rad`. With `frame_rate_hz`, frames follow each other in
-    time; without it, they are spread evenly over the path.
 
     Attributes:
         points_m: x, y and z in the world; two in succession must differ.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pepperscene.atomic import write_error
+from pepperscene.atomic import write_errors
 from pepperscene.building.execution.executor import (
     MAX_WORKERS,
     Dispatcher,
@@ -156,9 +156,9 @@ def build(
         options.on_start(len(indices), job.recipe.recipe.plan.count)
 
     # Make the frames. The tables are also written when a build is interrupted.
-    on_notice = options.on_notice or _ignore
+    on_notice = options.on_notice or (lambda _: None)
     folder = OutputFolder(Path(out), job.info)
-    reporter = _Reporter(job, folder.dataset, len(indices), on_frame or _ignore, on_notice)
+    reporter = _Reporter(job, folder.dataset, len(indices), on_frame or (lambda _: None), on_notice)
     try:
         units = work_units(job.recipe.recipe.plan, indices, executor.size)
         executor.make(job, Dispatcher(units, reporter.report, on_notice))
@@ -211,7 +211,7 @@ class _Reporter:
         self._on_frame, self._on_notice = on_frame, on_notice
         self._throughput = Throughput(total)
         self._preview = next((name for name in VIEWABLE if name in job.outputs), None)
-        self._target = job.resolved_target
+        self._target = job.resolved_quality.target
         self.errors = RenderingErrors()
         self.rows: dict[int, Row] = {}  # by index
 
@@ -221,10 +221,8 @@ class _Reporter:
         throughput.count(done.made)
         self.errors.add(self._target, done.row.get("error_codes"), done.row.get("noise_codes"))
         if done.made:
-            try:
+            with write_errors(self._dataset.folder):
                 append_timings(self._dataset.folder, done.row)
-            except OSError as error:
-                raise write_error(error, self._dataset.folder) from None
             self.rows[done.index] = done.row
             if len(self.rows) == 1:
                 self._check_disk((self._total - throughput.done) * int(done.row["bytes"]))
@@ -252,10 +250,8 @@ def _finish(
     Raises `OutputError` if another program has removed some of them.
     """
     # What was removed while the build ran and is known completely is written again.
-    try:
+    with write_errors(folder.dataset.folder):
         folder.prepare(())
-    except OSError as error:
-        raise write_error(error, folder.dataset.folder) from None
     _write_tables(folder.dataset, rows)
     lost = folder.lost_frames(indices, outputs)
     if lost:
@@ -281,7 +277,3 @@ def _unlit_notes(dataset: Dataset, indices: Sequence[int], outputs: tuple[str, .
 def _write_tables(dataset: Dataset, rows: Mapping[int, Row]) -> None:
     if dataset.indices():
         dataset.write_tables(rows)
-
-
-def _ignore(_: object) -> None:
-    """Callback of a caller that wants none."""

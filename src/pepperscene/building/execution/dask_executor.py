@@ -15,7 +15,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
-from pepperscene.atomic import write_error
+from pepperscene.atomic import write_errors
 from pepperscene.building.execution.dask_worker import TOPIC, BuildRequest, UnfitWorkerError, UnitTask
 from pepperscene.building.execution.executor import Dispatcher, Executor
 from pepperscene.building.execution.job import BuildJob, FrameDone
@@ -283,12 +283,10 @@ def _unfit_reason(error: BaseException) -> str | None:
 def _marker_file(folder: Path) -> Iterator[Path]:
     """A file in a folder, or in the first parent that exists, by which workers recognise the file system."""
     existing_folder = next(path for path in (folder, *folder.parents) if path.is_dir())
-    try:
+    with write_errors(existing_folder):
         file = tempfile.NamedTemporaryFile(  # noqa: SIM115 - entered below
             prefix=".pepperscene.", suffix=".tmp", dir=existing_folder
         )
-    except OSError as error:
-        raise write_error(error, existing_folder) from None
     with file:
         yield Path(file.name)
 

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pepperscene.building.execution.job import BuildJob, FrameDone, FrameMaker, OnFrame
+from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.plants import PROCESSES
 from pepperscene.building.subprocess_rpc import THREADS
-from pepperscene.errors import SetupError, WorkerError, is_out_of_memory
+from pepperscene.errors import SetupError, WorkerError
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
@@ -101,19 +102,15 @@ def make_unit(request: BuildRequest, number: int, indices: tuple[int, ...]) -> N
         content = None if done is None else pickle.dumps(done, protocol=5)
         worker.log_event(TOPIC, {"build": request.build, "number": number, "done": content})
 
+    advice = "use fewer workers on a machine, complete frames are kept"
     try:
-        _check_fit(request)
-        # Use as many cores as the worker has threads, unless its environment says otherwise.
-        for name in THREADS:
-            os.environ.setdefault(name, str(worker.state.nthreads))
-        os.environ.setdefault(PROCESSES, "1")
-        _frame_thread.make(request, indices, send, lambda: _is_cancelled(worker, key))
-    except (MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
-            raise
-        raise WorkerError(
-            "a worker ran out of memory; use fewer workers on a machine, complete frames are kept"
-        ) from None
+        with report_memory_errors(WorkerError(f"a worker ran out of memory; {advice}")):
+            _check_fit(request)
+            # Use as many cores as the worker has threads, unless its environment says otherwise.
+            for name in THREADS:
+                os.environ.setdefault(name, str(worker.state.nthreads))
+            os.environ.setdefault(PROCESSES, "1")
+            _frame_thread.make(request, indices, send, lambda: _is_cancelled(worker, key))
     finally:
         send(None)
 

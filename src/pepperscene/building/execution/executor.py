@@ -21,7 +21,7 @@ from pepperscene.building.execution.job import BuildJob, FrameDone, FrameMaker, 
 from pepperscene.building.memory import report_memory_errors
 from pepperscene.building.scenes.plants import PROCESSES
 from pepperscene.building.subprocess_rpc import Connection, WorkerProcess, available_cores
-from pepperscene.errors import PepperError, WorkerError, is_out_of_memory
+from pepperscene.errors import PepperError, WorkerError
 from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.recipe.plan import Plan
 
@@ -124,10 +124,7 @@ class Dispatcher:
     def lose(self, worker: Hashable, reason: str, *, is_only: bool = False) -> None:
         """Requeue the unfinished frames of a lost worker.
 
-        Args:
-            worker: that was lost.
-            reason: how it was lost.
-            is_only: whether the build has no other worker, which could have taken the memory.
+        `is_only`: whether the build has no other worker, which could have taken the memory.
 
         Raises:
             WorkerError: its first unfinished frame has ended as many workers as are allowed.
@@ -314,16 +311,12 @@ class _Pool:
 
 def serve(connection: Connection) -> None:
     """Make the requested units, in a worker process."""
+    name = f"{platform.node()}-{os.getpid()}"
+    lost = WorkerError("a worker ran out of memory; use fewer workers, complete frames are kept")
     try:
-        with FrameMaker(connection.state, f"{platform.node()}-{os.getpid()}", eager=True) as maker:
+        with report_memory_errors(lost), FrameMaker(connection.state, name, eager=True) as maker:
             for indices in connection:
                 maker.make(indices, connection.send, connection.closed.is_set)
                 connection.send(None)
     except PepperError as error:
         connection.send(error)
-    except (MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
-            raise
-        connection.send(
-            WorkerError("a worker ran out of memory; use fewer workers, complete frames are kept")
-        )

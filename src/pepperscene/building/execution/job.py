@@ -8,16 +8,15 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from pepperscene.atomic import write_error
+from pepperscene.atomic import write_errors
 from pepperscene.building.execution.options import BuildOptions as BuildOptions
 from pepperscene.building.memory import check_fits, frame_memory
-from pepperscene.building.scenes.frame_renderer import FrameRenderer
+from pepperscene.building.scenes.frame_renderer import FrameRenderer, RendererFactory
 from pepperscene.building.scenes.scene_builder import SceneBuilder
-from pepperscene.building.scenes.scene_renderer import RendererFactory
 from pepperscene.dataset.store.dataset import FORMAT
 from pepperscene.dataset.store.folder import OutputFolder
 from pepperscene.dataset.store.frame_json import FrameStatus
@@ -36,6 +35,9 @@ from pepperscene.recipe.views_tables import FunctionViews
 from pepperscene.truth import class_pixel_counts
 from pepperscene.units import file_values
 from pepperscene.version import __version__
+
+if TYPE_CHECKING:
+    from pepperscene.render import Quality
 
 _IMAGE_THREADS: Final = 4
 """Chosen: images that are written at a time; each waits for the disk for a third of its time."""
@@ -72,20 +74,17 @@ class BuildJob:
         return cls(resolved, path, names, options.quality, options.target_error, options.renderer)
 
     @cached_property
-    def resolved_target(self) -> float | None:
-        """The error over the sensor noise at which sampling stops; None for a fixed number of samples."""
+    def resolved_quality(self) -> Quality:
+        """The quality with the job's target error."""
         from pepperscene.render import resolve_quality
 
-        return resolve_quality(self.quality, self.target_error).target
+        return resolve_quality(self.quality, self.target_error)
 
     @cached_property
     def memory_bytes(self) -> float:
         """Bytes that a process takes to make frames."""
-        from pepperscene.render import resolve_quality
-
-        quality, recipe = resolve_quality(self.quality, self.target_error), self.recipe
+        recipe, in_strips = self.recipe, self.resolved_quality.integrator != "path"
         triangles = SceneBuilder(recipe.recipe, recipe.cultivar, processes=1).estimate_triangles()
-        in_strips = quality.integrator != "path"
         return frame_memory(recipe.camera, self.outputs, triangles, recipe.depth_camera, in_strips=in_strips)
 
     def check_memory(self, processes: int = 1) -> None:
@@ -122,7 +121,7 @@ class BuildJob:
             described |= {"moment": spec.moment, "twin": spec.twin}
         if recipe.rig:
             described |= {"moment": spec.moment, "rig_camera": camera_name(recipe, spec)}
-        drawn = frame_values(recipe, spec).drawn
+        drawn = frame_values(recipe, spec)[1]
         return {**described, "drawn": drawn} if drawn else described
 
     def frame_metadata(self, frame: Frame, spec: FrameSpec) -> dict[str, Any]:
@@ -164,17 +163,9 @@ class FrameMaker:
     """
 
     def __init__(
-        self,
-        job: BuildJob,
-        worker: str = "",
-        *,
-        eager: bool = False,
-        renderer: FrameRenderer | None = None,
+        self, job: BuildJob, worker: str = "", *, eager: bool = False, renderer: FrameRenderer | None = None
     ) -> None:
-        from pepperscene.render import resolve_quality
-
         self._job, self._worker, self._eager = job, worker, eager
-        self._quality = resolve_quality(job.quality, job.target_error)
         self._renderer = renderer or FrameRenderer(job.recipe, job.renderer)
         self._folder = OutputFolder(job.folder, job.info)
         self._prepared: set[str] = set()
@@ -213,7 +204,7 @@ class FrameMaker:
                 continue
             # The frame before is written meanwhile.
             spec = self._job.recipe.recipe.plan.frame(index)
-            frame = self._renderer.render(spec, missing, self._quality)
+            frame = self._renderer.render(spec, missing, self._job.resolved_quality)
             _check_same_pose(frame, status, index, self._job.recipe.recipe)
             render_s = time.perf_counter() - start
             self._finish(on_frame)
@@ -241,7 +232,7 @@ class FrameMaker:
     ) -> FrameDone:
         dataset, start = self._folder.dataset, time.perf_counter()
         metadata = self._job.frame_metadata(frame, spec)
-        try:
+        with write_errors(dataset.folder):
             # Folders are prepared once per output, because looking for temporary files reads them completely.
             if not self._prepared.issuperset(outputs):
                 self._folder.prepare(outputs)
@@ -253,8 +244,6 @@ class FrameMaker:
                 # Another build that was interrupted before its first frame has removed the empty folders.
                 self._folder.prepare(outputs)
                 written = dataset.commit(spec.index, images, metadata, status, self._image_threads)
-        except OSError as error:
-            raise write_error(error, dataset.folder) from None
         timing = {"render_s": render_s, "write_s": time.perf_counter() - start, "worker": self._worker}
         done = FrameDone(spec.index, True, {**written.row(), **timing})
         if self._eager:

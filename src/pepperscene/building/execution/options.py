@@ -51,6 +51,5 @@ class BuildOptions:
     on_notice: Callable[[str], None] | None = None
     on_start: Callable[[int, int], None] | None = None
     allow_code: Annotated[
-        bool,
-        Option('Allow the code of the recipe to run, which views of the kind "function" need.'),
+        bool, Option('Allow the code of the recipe to run, which views of the kind "function" need.')
     ] = False

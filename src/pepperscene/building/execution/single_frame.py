@@ -52,16 +52,13 @@ def render_frame(
         OutputError: the folder belongs to a data set, or cannot be written to.
         SetupError: the machine cannot render; nothing is written.
     """
-    from pepperscene.render import resolve_quality
-
     # Check all arguments before light is traced.
     for name in ("workers", "scheduler", "slurm"):
         if getattr(options, name) is not None:
             raise ArgumentError(name, "applies to builds, not to a single frame")
     job = BuildJob.create(recipe, out, outputs, options)
     job.recipe.check_code()
-    plan = job.recipe.recipe.plan
-    spec = plan.frame(plan.select_indices(None if index is None else [index], "frame")[0])
+    spec = job.recipe.recipe.plan.first_frame(index)
     folder = Path(out)
     for path in (folder, folder.absolute().parent):
         if (path / MARK).exists():
@@ -75,7 +72,7 @@ def render_frame(
     # Render, encode, and write all files or none.
     with report_memory_errors():
         renderer = FrameRenderer(job.recipe, job.renderer, on_stage=on_stage)
-        frame = renderer.render(spec, job.outputs, resolve_quality(job.quality, job.target_error))
+        frame = renderer.render(spec, job.outputs, job.resolved_quality)
         if on_stage is not None:
             on_stage("writing files")
         details = recorded_bands(frame.metadata), frame.metadata.get("photo", NO_PHOTO)

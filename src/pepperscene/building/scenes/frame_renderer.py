@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,7 +20,6 @@ from pepperscene.building.scenes.optics import (
     prepare_for_mitsuba,
 )
 from pepperscene.building.scenes.scene_builder import BuiltScene, NearPlants, NearScene, SceneBuilder
-from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
 from pepperscene.building.scenes.skies import sky_above
 from pepperscene.building.scenes.turning import TurntableScenes, lamps_at, sky_at, turn_metadata, turn_of
 from pepperscene.building.subprocess_rpc import FunctionWorker
@@ -39,11 +38,13 @@ if TYPE_CHECKING:
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.recipe.views.fixed_views import View
-    from pepperscene.render import Quality
+    from pepperscene.render import Quality, Renderer
     from pepperscene.scene import Scene, Sky
 
+RendererFactory = Callable[["Scene"], "Renderer"]
 
-def mitsuba_renderer(scene: Scene) -> SceneRenderer:
+
+def mitsuba_renderer(scene: Scene) -> Renderer:
     """The Mitsuba renderer of a scene, imported when first needed."""
     from pepperscene.render import Renderer
 
@@ -60,17 +61,13 @@ class AssembledScene:
 
 @dataclass(frozen=True, eq=False)
 class _HeldScene:
-    """The scene that is held, and its renderer.
+    """The scene that is held, and its renderer."""
 
-    Attributes:
-        key: plants, set, rotation, whether it has surfaces and light, and the turn of the plant.
-        light: what the scene's own sky depends on.
-    """
-
+    # Plants, set, rotation, whether it has surfaces and light, and the turn of the plant.
     key: tuple[str, int, int, bool, float]
-    light: tuple[int, str, float]
+    light: tuple[int, str, float]  # what the scene's own sky depends on
     assembled: AssembledScene
-    renderer: SceneRenderer
+    renderer: Renderer
 
 
 class FrameRenderer:
@@ -115,7 +112,7 @@ class FrameRenderer:
         self.culled = culled and not sees_all
         self._renderer_factory = renderer or mitsuba_renderer
         self._near_plants = NearPlants(self.views, self._renderer_factory)
-        self._on_stage = on_stage or _ignore
+        self._on_stage = on_stage or (lambda _: None)
         self._builders: tuple[str, SceneBuilder] | None = None
         self._held: _HeldScene | None = None
         self._turntable = TurntableScenes()
@@ -145,7 +142,7 @@ class FrameRenderer:
         self,
         spec: FrameSpec,
         assembled: AssembledScene,
-        renderer: SceneRenderer,
+        renderer: Renderer,
         outputs: Sequence[str],
         quality: str | Quality = "standard",
         *,
@@ -166,30 +163,31 @@ class FrameRenderer:
             light: set, `FrameSetup.light` and turn that the scene's own sky is for.
         """
         setup, traced = self.setups.at(spec), any(OUTPUTS[name].traced for name in outputs)
-        scene, visible = assembled.scene, renderer.visible_points
-        partners = self.views.partners(spec, outputs, scene, visible, view)
+        scene, visible, plan = assembled.scene, renderer.visible_points, self.recipe.plan
+        shown, flow = view or self.views.view(spec, scene, visible), None
+        if "flow" in outputs and view is None and spec.step + 1 < plan.frames:
+            later = plan.frame(spec.index + plan.cameras)
+            flow = self.views.camera(later, self.views.view(later, scene, visible))
         exposure = self._exposures.at(spec, setup, quality) if traced else None
         frame_sky: Sky | Literal["scene"] | None = (
             self.sky(spec) if traced and light != (spec.set, setup.light, turn_of(spec, setup)) else "scene"
         )
         self._on_stage(f"rendering frame {spec.index}")
         frame = renderer.render(
-            self.views.camera(spec, scene, visible, view),
+            self.views.camera(spec, shown),
             outputs,
             quality,
             frame_seed(self.recipe.seed, spec.index) if seed is None else seed,
-            partners=partners,
+            partners=replace(self.views.partners(spec, outputs, shown), flow=flow),
             sky=frame_sky,
             exposure_control=None if exposure is None else exposure.locked or exposure.control,
         )
         described = {**frame.metadata, **assembled.statistics}
         if exposure is not None and "auto_exposure" in described:
             described["auto_exposure"] = exposure.to_metadata(described["auto_exposure"])
-        if view is None:
-            described |= turn_metadata(spec, setup)
-        target = self.views.target(spec, assembled.scene) if view is None else None
-        if target is not None:
-            organ = assembled.scene.mesh.instances[target]
+        described |= turn_metadata(spec, setup) if view is None else {}
+        if view is None and (target := self.views.target(spec, scene)) is not None:
+            organ = scene.mesh.instances[target]
             described["target"] = {"instance": target + 1, "plant": organ.plant, "kind": organ.kind}
         return Frame(frame.images, described)
 
@@ -208,7 +206,7 @@ class FrameRenderer:
         if exposure is None and not self.views.depends_on_scene:
             return self.views.camera(spec)
         held = self._scene_of(spec, setup, traced=exposure is not None)
-        camera = self.views.camera(spec, held.assembled.scene, held.renderer.visible_points)
+        camera = self._camera_in(held, spec)
         if exposure is None:
             return camera
         from pepperscene.camera.image.auto_exposure import with_exposure
@@ -219,8 +217,12 @@ class FrameRenderer:
         """The exposure that a frame's own light gives it, as in the frame itself."""
         setup = self.setups.at(spec)
         held, seed = self._scene_of(spec, setup, traced=True), frame_seed(self.recipe.seed, spec.index)
-        camera = self.views.camera(spec, held.assembled.scene, held.renderer.visible_points)
-        return held.renderer.meter(camera, setup.recipe.metering.control(), seed, self.sky(spec), quality)
+        camera, control = self._camera_in(held, spec), setup.recipe.metering.control()
+        return held.renderer.meter(camera, control, seed, self.sky(spec), quality)
+
+    def _camera_in(self, held: _HeldScene, spec: FrameSpec) -> Camera:
+        view = self.views.view(spec, held.assembled.scene, held.renderer.visible_points)
+        return self.views.camera(spec, view)
 
     def scene(self, spec: FrameSpec, *, traced: bool = True) -> Scene:
         """The scene of a frame; without `traced` it has no surfaces and no sky, which labels do not need."""
@@ -265,8 +267,8 @@ class FrameRenderer:
         setup = self.setups.at(spec)
         if nm is None:
             return self._optics(spec, setup, self.frames_of_scene(spec))
-        recipe = setup.recipe
-        return make_surfaces(setup.cultivar, *nm, recipe.skin_texture, recipe.stand), self.sky(spec)
+        texture, stand = setup.recipe.skin_texture, setup.recipe.stand
+        return make_surfaces(setup.cultivar, *nm, texture, stand), self.sky(spec)
 
     def finish(
         self, spec: FrameSpec, near: NearScene, optics: tuple[Mapping[str, Surface], Sky | None] | None
@@ -276,7 +278,16 @@ class FrameRenderer:
         return self._assembled(spec, near, mesh, *(optics or (None, None)))
 
     def _culled_mesh(self, near: NearScene, specs: Sequence[FrameSpec]) -> Mesh:
-        return self._cull(near.built.mesh, specs) if self.culled else near.built.mesh
+        """The mesh of a scene without what affects none of its frames, by all poses and the recipe's light.
+
+        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
+        """
+        from pepperscene.scene import cull_mesh
+
+        if not self.culled:
+            return near.built.mesh
+        reach = largest_light_reach([self.setups.at(spec) for spec in specs])
+        return cull_mesh(near.built.mesh, self.views.frustums(specs), reach)
 
     def _assembled(
         self,
@@ -361,16 +372,6 @@ class FrameRenderer:
         specs = [self.recipe.plan.frame(index) for index in self.recipe.plan.scene_indices(spec)]
         return [other for other in specs if self.setups.at(other).plants == setup.plants]
 
-    def _cull(self, mesh: Mesh, specs: Sequence[FrameSpec]) -> Mesh:
-        """Leave out what affects no frame of a scene, by all poses and the recipe's light.
-
-        Outputs do not matter, so a frame's labels fit its colour, and no frame depends on others.
-        """
-        from pepperscene.scene import cull_mesh
-
-        reach = largest_light_reach([self.setups.at(spec) for spec in specs])
-        return cull_mesh(mesh, self.views.frustums(specs), reach)
-
     def _optics(
         self,
         spec: FrameSpec,
@@ -392,7 +393,3 @@ class FrameRenderer:
         if prepare is not None:
             prepare(surfaces.values())
         return surfaces, self.sky(spec)
-
-
-def _ignore(_: str) -> None:
-    """Callback of a caller that wants none."""

@@ -46,8 +46,7 @@ class LightOptions:
         Option("Direction of north in the scene, counter-clockwise from x; 90 is behind the crop.", "DEG"),
     ] = 90.0
     weather: Annotated[
-        Path | None,
-        Option("CSV file of measured light of the day: time, direct_W_m2, diffuse_W_m2.", "FILE"),
+        Path | None, Option("CSV file of measured light of the day: time, direct_W_m2, diffuse_W_m2.", "FILE")
     ] = None
 
     def wavebands(self) -> tuple[Waveband, ...]:

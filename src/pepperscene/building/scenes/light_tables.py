@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.atomic import check_can_write, write_files
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.building.scenes.light_options import LightOptions
 from pepperscene.building.scenes.skies import sky_under_daylight
-from pepperscene.building.scenes.trait_tables import encode_table, table_files
+from pepperscene.building.scenes.trait_tables import write_tables
 from pepperscene.building.scenes.turning import sky_at, turn_of
 from pepperscene.dataset.store.manifest import Row, TableColumn, axis_columns, column_types, rows_table
 from pepperscene.recipe.plan import FrameSpec
@@ -138,11 +137,10 @@ def light_tables(
     Raises:
         InputError: the recipe, a file that it names, the index or an option is not valid.
     """
-    options, on_stage = options or LightOptions(), on_stage or _ignore
+    options, on_stage = options or LightOptions(), on_stage or (lambda _: None)
     moments, bands = options.moments(), options.wavebands()
     renderer = FrameRenderer(recipe, on_stage=on_stage)
-    plan = renderer.recipe.plan
-    spec = plan.frame(plan.select_indices(None if frame is None else [frame], "frame")[0])
+    spec = renderer.recipe.plan.first_frame(frame)
     tracer = _tracer(renderer, spec, bands, on_stage)
     organs = _Organs.of(tracer, renderer.setups.at(spec).recipe.row.plants_front, options.layer / 1e3)
     rows: dict[str, list[Row]] = {name: [] for name in LIGHT_TABLES}
@@ -169,11 +167,6 @@ def light_tables(
     )
 
 
-def check_light_output(folder: Path, file_format: str) -> None:
-    """Raise `ArgumentError` or `OutputError` if tables cannot be written in a format into a folder."""
-    check_can_write(folder, table_files(LIGHT_TABLES, file_format))
-
-
 def write_light(tables: OrganLight, folder: str | Path, file_format: str = "parquet") -> tuple[Path, ...]:
     """Write the tables as `.parquet` or `.csv` into a folder, all or none; `day` only if it has rows.
 
@@ -181,25 +174,14 @@ def write_light(tables: OrganLight, folder: str | Path, file_format: str = "parq
         InputError: the format is unknown.
         OutputError: a file cannot be written.
     """
-    check_light_output(Path(folder), file_format)
-    named = {item.name: getattr(tables, item.name) for item in fields(tables)}
-    return write_files(
-        Path(folder),
-        {
-            f"{name}.{file_format}": encode_table(table, file_format)
-            for name, table in named.items()
-            if name != "day" or table.num_rows
-        },
-    )
+    named = {name: getattr(tables, name) for name in LIGHT_TABLES if name != "day" or tables.day.num_rows}
+    return write_tables(named, folder, file_format)
 
 
 def lit_scene(renderer: FrameRenderer, spec: FrameSpec, nm: tuple[float, float]) -> Scene:
-    """The scene of a frame that light is traced in: complete, with coarse plants in far rows.
+    """The scene of a frame that light of a range of wavelengths is traced in.
 
-    Args:
-        renderer: of the recipe.
-        spec: the frame.
-        nm: range of wavelengths.
+    It is complete, with coarse plants in far rows.
     """
     from pepperscene.scene import assemble_scene
 
@@ -252,16 +234,11 @@ def _time_row(sky: Sky | None, hours: float | None) -> Row:
 
 @dataclass(frozen=True, eq=False)
 class _Organs:
-    """The organs of a tracer: their columns, and the groups that each belongs to.
+    """The organs of a tracer: their columns, and the groups that each belongs to."""
 
-    Attributes:
-        columns: of each organ.
-        classes: names of the classes, and `(n,)` that of each organ.
-        groups: columns of the groups of plants, layers and rows, and `(n,)` the group of each organ.
-    """
-
-    columns: list[Row]
-    classes: tuple[list[str], NDArray[np.intp]]
+    columns: list[Row]  # of each organ
+    classes: tuple[list[str], NDArray[np.intp]]  # names of the classes, and `(n,)` that of each organ
+    # Columns of the groups of plants, layers and rows, and `(n,)` the group of each organ.
     groups: dict[str, tuple[list[Row], NDArray[np.intp]]]
 
     @classmethod
@@ -279,24 +256,16 @@ class _Organs:
         for k, item in enumerate(items):
             x, y, z = centre[k].tolist()
             organ = {"plant": item.plant, "instance": int(instances[k]) + 1, "kind": item.kind}
-            organ |= {
-                "class": names[k],
-                "phytomer": item.phytomer,
-                "row": int(row[k]),
-                "layer": int(layer[k]),
-            }
+            organ |= {"class": names[k], "phytomer": item.phytomer}
+            organ |= {"row": int(row[k]), "layer": int(layer[k])}
             columns.append(organ | {"x_m": x, "y_m": y, "z_m": z})
         groups = {}
-        for table, key, values in (
-            ("plants", "plant", plant),
-            ("layers", "layer", layer),
-            ("rows", "row", row),
-        ):
+        for key, values in (("plant", plant), ("layer", layer), ("row", row)):
             found, group = np.unique(values, return_inverse=True)
             keys: list[Row] = [{key: int(value)} for value in found]
             if key == "layer":
                 keys = [one | {"z_m": layer_m * one["layer"]} for one in keys]
-            groups[table] = keys, group
+            groups[f"{key}s"] = keys, group
         found, number = np.unique(names, return_inverse=True)
         return cls(columns, (found.tolist(), number), groups)
 
@@ -373,7 +342,3 @@ def _red_far_red(light: AbsorbedLight, arriving: LightAmounts) -> NDArray[np.flo
     red, far_red = (arriving.umol_s[names.index(name)] for name in ("red", "far_red"))
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(red / far_red)
-
-
-def _ignore(_: str) -> None:
-    """Callback of a caller that wants none."""

@@ -46,15 +46,9 @@ class SurfaceFactory:
         skin: str = NONE,
         stand: Stand | None = None,
     ) -> dict[str, Surface]:
-        """The surfaces of a cultivar, of the greenhouse and of a stand by name.
+        """The surfaces of a cultivar, of the greenhouse and of a stand by name, see `make_surfaces`.
 
-        Args:
-            cultivar: its organs.
-            first_nm: first wavelength, nanometres.
-            last_nm: last wavelength, nanometres.
-            worker: another process that makes them, so that threads of this one can work meanwhile.
-            skin: name or path of the fine texture, or "none".
-            stand: of the plant, or None.
+        A `worker` is another process that makes them, so that threads of this one can work meanwhile.
         """
         key = cultivar, first_nm, last_nm, skin, stand
         if self._kept is None or self._kept[0] != key:

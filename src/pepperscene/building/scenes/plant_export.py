@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from pepperscene.atomic import check_can_write, write_files
 from pepperscene.building.memory import check_fits, report_memory_errors
-from pepperscene.building.scenes.frame_renderer import mitsuba_renderer
+from pepperscene.building.scenes.frame_renderer import RendererFactory, mitsuba_renderer
 from pepperscene.building.scenes.plants import grow_plant, growth_stage
-from pepperscene.building.scenes.scene_renderer import RendererFactory, SceneRenderer
 from pepperscene.classes import OrganClass
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import Stream, check_seed, random_generator
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from pepperscene.camera import Camera
     from pepperscene.cultivar import Cultivar
     from pepperscene.geometry import ContactCounts, Mesh
+    from pepperscene.render import Renderer
     from pepperscene.scene import Sky
 
 Picture = NDArray[np.uint8]
@@ -215,7 +215,7 @@ def _plant_camera(mesh: Mesh) -> Camera:
     return _aim(_paper_camera((columns, rows), focal_length), middle - np.array([0.0, distance, 0.0]), middle)
 
 
-def _medium_camera(mesh: Mesh, renderer: SceneRenderer) -> Camera:
+def _medium_camera(mesh: Mesh, renderer: Renderer) -> Camera:
     """The camera level with the stem and 50 cm away that sees most fruit."""
     top = float(mesh.vertices[:, 2].max())
     stem = mesh.vertices[mesh.faces[mesh.face_class == OrganClass.STEM].ravel()]
@@ -232,7 +232,7 @@ def _medium_camera(mesh: Mesh, renderer: SceneRenderer) -> Camera:
     return _aim(_paper_camera(_SIZE, _FOCAL_LENGTH_M), *trials[int(np.argmax(scores))])
 
 
-def _close_up(mesh: Mesh, renderer: SceneRenderer) -> Camera:
+def _close_up(mesh: Mesh, renderer: Renderer) -> Camera:
     """The camera close to the fruit that is hidden least."""
     classes = np.array([instance.organ_class for instance in mesh.instances])
     kinds = (OrganClass.PEPPER, OrganClass.LEAF)
@@ -253,7 +253,7 @@ def _close_up(mesh: Mesh, renderer: SceneRenderer) -> Camera:
     return _aim(_paper_camera(_SIZE, _FOCAL_LENGTH_M), *trials[int(np.argmax(scores))])
 
 
-def _trial(renderer: SceneRenderer, position: Point, target: Point, output: str) -> NDArray[np.integer]:
+def _trial(renderer: Renderer, position: Point, target: Point, output: str) -> NDArray[np.integer]:
     """A small label image of a view."""
     camera = _paper_camera(_TRIAL_SIZE, _FOCAL_LENGTH_M * _TRIAL_SIZE[0] / _SIZE[0])
     return renderer.render(_aim(camera, position, target), [output])[output]

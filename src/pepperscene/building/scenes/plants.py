@@ -142,11 +142,7 @@ def grow_in_memory(
 ) -> Plant:
     """The plant of `pepperscene.grammar.grow`, unless the mesh of so many organs cannot fit into memory.
 
-    Args:
-        cultivar: has the distributions.
-        rng: gives one number, the plant's key.
-        lean: radians, added to the drawn lean of the stem.
-        detail: of the mesh.
+    `rng` gives one number, the plant's key; `lean`, in radians, is added to the drawn lean of the stem.
 
     Raises:
         SetupError: it does not fit.

@@ -157,13 +157,9 @@ class SceneBuilder:
         return BuiltScene(mesh, contacts, skeleton, tuple(far_rows), begin, len(staying))
 
     def with_full_plants(self, built: BuiltScene, numbers: Collection[int]) -> BuiltScene:
-        """The scene with some plants of the far rows grown in full.
+        """The scene, which `scene` has built, with the plants of these numbers in far rows grown in full.
 
         With labels they are part of the skeleton, so that their fruit have harvest truth.
-
-        Args:
-            built: of `scene`.
-            numbers: of these plants.
         """
         from pepperscene.geometry import concatenate_meshes
         from pepperscene.scene import far_row_meshes
@@ -355,13 +351,14 @@ class NearPlants:
         self, built: BuiltScene, builder: SceneBuilder, specs: Sequence[FrameSpec]
     ) -> tuple[tuple[int, ...], DrawnViews]:
         """The numbers of the plants, and the views if they depend on the scene."""
-        coarse = CoarsePlants(builder.far_models, built.far_rows)
-        if not self._views.depends_on_scene:
-            return coarse.shown_near(self._views.near_views(specs)), {}
+        coarse, views = CoarsePlants(builder.far_models, built.far_rows), self._views
+        if not views.depends_on_scene:
+            return coarse.shown_near(views.near_views((spec, views.view(spec)) for spec in specs)), {}
         from pepperscene.scene import assemble_scene
 
         scene = assemble_scene(built.mesh, skeleton=built.skeleton)
         visible = self._renderer(scene).visible_points
-        if self._views.are_random:
+        if views.are_random:
             specs = [spec for spec in specs if spec.step < DECISIVE_VIEWS]
-        return coarse.shown_near(self._views.near_views(specs, scene, visible)), self._views.drawn(scene)
+        seen = views.near_views((spec, views.view(spec, scene, visible)) for spec in specs)
+        return coarse.shown_near(seen), views.drawn(scene)

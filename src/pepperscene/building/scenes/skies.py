@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 def sky_above(builder: SceneBuilder, setup: FrameSetup, spec: FrameSpec, **light: float) -> Sky:
     """The sky below the cover of a frame's greenhouse, over a floor that its crop shades.
 
-    Args:
-        builder: of the frame's scene.
-        setup: of the frame.
-        spec: the frame.
-        light: as of `partly_cloudy_sky`.
+    `light` is as of `partly_cloudy_sky`.
     """
     from pepperscene.scene import leaf_area_index, partly_cloudy_sky
 
@@ -40,15 +36,9 @@ def sky_under_daylight(
     diffuse_lx: float,
     **shape: float,
 ) -> Sky:
-    """The sky below the cover of a frame's greenhouse for daylight above it.
+    """The sky below the cover of a frame's greenhouse for daylight of sun and sky above it, on a level plane.
 
-    Args:
-        builder: of the frame's scene.
-        setup: of the frame.
-        spec: the frame.
-        direct_lx: on a level plane above the cover, from the sun.
-        diffuse_lx: likewise, from the sky.
-        shape: `cloud_cover`, `sun_azimuth_rad` and `sun_elevation_rad`, as of `partly_cloudy_sky`.
+    `shape` is `cloud_cover`, `sun_azimuth_rad` and `sun_elevation_rad`, as of `partly_cloudy_sky`.
     """
     from pepperscene.scene.sky import MAX_SUN_FRACTION
     from pepperscene.spectra import illuminance, sky_spectrum, sun_spectrum

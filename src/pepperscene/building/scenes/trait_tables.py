@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from pepperscene.atomic import check_can_write, write_files
 from pepperscene.building.scenes.scene_builder import SceneBuilder
+from pepperscene.classes import RIPE_FROM
 from pepperscene.cultivar.organs import FORMS, OrganForm
-from pepperscene.dataset.selection import RIPE_FROM
 from pepperscene.dataset.store.manifest import Row, TableColumn, axis_columns, column_types, rows_table
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec, Plan
@@ -125,7 +125,7 @@ def plant_traits(
     """
     resolved = resolve_recipe(recipe)
     plan = resolved.recipe.plan
-    spec = plan.frame(plan.select_indices(None if frame is None else [frame], "frame")[0])
+    spec = plan.first_frame(frame)
     setups = FrameSetups(resolved)
     dates: dict[str, FrameSpec] = {}
     for one in (spec, *_twins(plan, spec)):
@@ -156,16 +156,20 @@ def scene_traits(scene: Scene, ground_area_m2: float) -> PlantTraits:
     return _tables(rows)
 
 
-def check_traits_output(folder: Path, file_format: str) -> None:
-    """Raise `ArgumentError` or `OutputError` if traits cannot be written in a format into a folder."""
-    check_can_write(folder, table_files(TABLES, file_format))
-
-
-def table_files(names: Iterable[str], file_format: str) -> list[str]:
-    """Names of the files of tables; raises `ArgumentError` if the format is unknown."""
+def check_tables_output(names: Iterable[str], folder: Path, file_format: str) -> None:
+    """Raise `ArgumentError` or `OutputError` if tables cannot be written in a format into a folder."""
     if file_format not in FILE_FORMATS:
         raise ArgumentError("format", f"must be {' or '.join(FILE_FORMATS)}, not {file_format!r}")
-    return [f"{name}.{file_format}" for name in names]
+    check_can_write(folder, [f"{name}.{file_format}" for name in names])
+
+
+def write_tables(
+    tables: Mapping[str, pyarrow.Table], folder: str | Path, file_format: str
+) -> tuple[Path, ...]:
+    """Write tables into a folder, all or none; errors as of `check_tables_output`."""
+    check_tables_output(tables, Path(folder), file_format)
+    files = {f"{name}.{file_format}": encode_table(table, file_format) for name, table in tables.items()}
+    return write_files(Path(folder), files)
 
 
 def encode_table(table: pyarrow.Table, file_format: str) -> bytes:
@@ -197,9 +201,7 @@ def write_traits(traits: PlantTraits, folder: str | Path, file_format: str = "pa
         InputError: the format is unknown.
         OutputError: a file cannot be written.
     """
-    check_traits_output(Path(folder), file_format)
-    files = {f"{name}.{file_format}": encode_table(getattr(traits, name), file_format) for name in TABLES}
-    return write_files(Path(folder), files)
+    return write_tables({name: getattr(traits, name) for name in TABLES}, folder, file_format)
 
 
 def _twins(plan: Plan, spec: FrameSpec) -> Iterator[FrameSpec]:

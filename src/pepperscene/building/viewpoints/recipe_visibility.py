@@ -20,9 +20,8 @@ from pepperscene.truth.fruit_visibility import SAMPLES, FruitVisibility, check_s
 from pepperscene.truth.view_planning import ViewSequence, greedy_views
 
 if TYPE_CHECKING:
-    from pepperscene.camera import Camera, PoseList
+    from pepperscene.camera import PoseList
     from pepperscene.classes import Instance
-    from pepperscene.render.viewpoints.observer import FruitObserver
     from pepperscene.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -118,7 +117,7 @@ def recipe_visibility(
     """
     from pepperscene.camera import read_poses
 
-    notify = on_stage or _ignore
+    notify = on_stage or (lambda _: None)
     indices = recipe.recipe.plan.select_indices(frames)
     from_file = None if options.poses is None else read_poses(options.poses)
     source = _PoseSource(FrameRenderer(recipe, culled=False), options, from_file)
@@ -141,13 +140,16 @@ def _observe(
     """What the cameras of one scene see."""
     from pepperscene.render.viewpoints.observer import FruitObserver
 
-    options = source.options
-    frames_poses = source.frame_poses(specs)
-    scene, camera = source.scene(specs[0]), source.camera(specs[0])
+    options, workspace = source.options, source.options.workspace
+    poses = None
+    if source.of_frames:
+        # Views that depend on the plants assemble the scene.
+        poses = np.array([source.renderer.camera(spec, traced=False).pose for spec in specs])
+    scene, camera = source.scene(specs[0]), source.renderer.setups.at(specs[0]).camera
     observer = FruitObserver(scene, options.samples)
-    workspace = options.workspace
     reach = None if workspace is None else ReachTest(workspace, scene.mesh, options.clearance_m)
-    poses = source.other_poses(specs[0], observer, reach) if frames_poses is None else frames_poses
+    if poses is None:
+        poses = source.other_poses(specs[0], observer.points.skin_centres, reach)
     notify(f"observing {len(observer.points.fruit)} fruit from {len(poses):,} poses")
     visibility = observer.observe(camera, poses, occluders=options.occluders, on_progress=on_progress)
     reachable = None if reach is None else reach(poses[:, :3, 3])
@@ -157,7 +159,7 @@ def _observe(
         visibility=visibility,
         instances=scene.mesh.instances,
         centres_m=observer.points.skin_centres,
-        frames=None if frames_poses is None else tuple(spec.index for spec in specs),
+        frames=tuple(spec.index for spec in specs) if source.of_frames else None,
         names=None if source.from_file is None else source.from_file.names,
         reachable=reachable,
         best=candidates.best_poses(),
@@ -167,15 +169,9 @@ def _observe(
 
 @dataclass(frozen=True, eq=False)
 class _PoseSource:
-    """Scenes and poses of a recipe, or poses from elsewhere.
+    """Scenes and poses of a recipe, or poses from elsewhere."""
 
-    Attributes:
-        renderer: of the recipe; its scenes are not culled.
-        options: where poses come from.
-        from_file: poses of a file, or None.
-    """
-
-    renderer: FrameRenderer
+    renderer: FrameRenderer  # its scenes are not culled
     options: ViewpointOptions
     from_file: PoseList | None
 
@@ -197,16 +193,6 @@ class _PoseSource:
             return [specs[:1]]
         return [list(group) for _, group in groupby(sorted(specs, key=key), key)]
 
-    def frame_poses(self, specs: Sequence[FrameSpec]) -> FloatArray | None:
-        """`(n, 4, 4)` the poses of some frames; None with poses from elsewhere."""
-        if not self.of_frames:
-            return None
-        return np.array([self.renderer.camera(spec, traced=False).pose for spec in specs])
-
-    def camera(self, spec: FrameSpec) -> Camera:
-        """Lens and sensor of a frame; the pose does not matter."""
-        return self.renderer.setups.at(spec).camera
-
     def scene(self, spec: FrameSpec) -> Scene:
         """The scene of a frame with all its triangles."""
         # Views that depend on the plants have assembled it already.
@@ -214,17 +200,12 @@ class _PoseSource:
         held = self.renderer.current_scene if has_scene else None
         return held or self.renderer.scene(spec, traced=False)
 
-    def other_poses(self, spec: FrameSpec, observer: FruitObserver, reach: ReachTest | None) -> FloatArray:
-        """`(n, 4, 4)` the poses of the file, or those in the workspace, which face the nearest fruit."""
+    def other_poses(self, spec: FrameSpec, targets: FloatArray, reach: ReachTest | None) -> FloatArray:
+        """`(n, 4, 4)` the poses of the file, or those in the workspace, which face the nearest target."""
         if self.from_file is not None:
             return self.from_file.poses
         assert reach is not None  # checked by the options
-        targets = observer.points.skin_centres
         if self.options.spacing_m is not None:
             return lattice_poses(reach, targets, self.options.spacing_m)
         rng = random_generator(self.renderer.recipe.seed, Stream.VIEW, spec.scene, 1)
         return random_poses(reach, targets, self.options.random or 0, rng)
-
-
-def _ignore(_: str) -> None:
-    """Callback of a caller that wants none."""

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.atomic import atomic_write, check_can_write, write_error
+from pepperscene.atomic import atomic_write, check_can_write, write_errors
 from pepperscene.building.viewpoints.recipe_visibility import SceneVisibility, ViewpointOptions
+from pepperscene.dataset.store.manifest import table_schema
 from pepperscene.errors import ArgumentError
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
 from pepperscene.version import __version__
@@ -72,8 +73,8 @@ def write_visibility(
     check_table_path(path)
     origin = {"recipe": recipe.recipe.name, "seed": recipe.recipe.seed, "version": __version__}
     content = json.dumps({**origin, "samples": options.samples}, sort_keys=True).encode()
-    schema, rows = table_schema().with_metadata({METADATA_KEY: content}), 0
-    try:
+    schema, rows = table_schema(COLUMNS).with_metadata({METADATA_KEY: content}), 0
+    with write_errors(path):
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
         with (
             atomic_write(path) as temporary,
@@ -82,21 +83,7 @@ def write_visibility(
             for scene in scenes:
                 writer.write_table(scene_table(scene).replace_schema_metadata(schema.metadata))
                 rows += len(scene.visibility)
-    except OSError as error:
-        raise write_error(error, path) from None
     return rows
-
-
-def table_schema() -> pyarrow.Schema:
-    """The Arrow schema of the table."""
-    import pyarrow
-
-    def arrow_type(kind: str) -> Any:
-        if kind.endswith("s"):
-            return pyarrow.list_(pyarrow.field("element", pyarrow.type_for_alias(kind.removesuffix("s"))))
-        return pyarrow.type_for_alias(kind)
-
-    return pyarrow.schema([(name, arrow_type(kind)) for name, kind in COLUMNS.items()])
 
 
 def scene_table(scene: SceneVisibility) -> pyarrow.Table:
@@ -131,7 +118,7 @@ def scene_table(scene: SceneVisibility) -> pyarrow.Table:
         "cut_visible_fraction": np.ma.masked_invalid(seen.cut_visible_fraction),
         **_occluder_lists(scene),
     }
-    schema = table_schema()
+    schema = table_schema(COLUMNS)
     arrays = [_column(values[field.name], field.type, count) for field in schema]
     return pyarrow.Table.from_arrays(arrays, schema=schema)
 

@@ -77,17 +77,11 @@ class CocoAnnotation:
 
 @dataclass(frozen=True, eq=False)
 class _PackedMask:
-    """The mask of an annotation.
+    """The mask of an annotation."""
 
-    Attributes:
-        box: its rows and columns.
-        bits: eight pixels of the box a byte.
-        area: number of its pixels.
-    """
-
-    box: tuple[slice, slice]
-    bits: NDArray[np.uint8]
-    area: int
+    box: tuple[slice, slice]  # its rows and columns
+    bits: NDArray[np.uint8]  # eight pixels of the box a byte
+    area: int  # number of its pixels
 
     @property
     def mask(self) -> NDArray[np.bool_]:
@@ -211,17 +205,12 @@ class CocoSet(ImageSet):
                 crowded[box] |= mask
 
         # Objects, from large to small.
-        objects = [
-            (annotation, part)
-            for annotation, part in zip(item.annotations, parts, strict=True)
-            if not annotation.is_crowd
-        ]
-        areas = [part.area for _, part in objects]
-        for number in sorted(range(len(objects)), key=lambda number: -areas[number]):
-            annotation, part = objects[number]
+        pairs = zip(item.annotations, parts, strict=True)
+        objects = [(annotation.class_id, part) for annotation, part in pairs if not annotation.is_crowd]
+        for number, (class_id, part) in sorted(enumerate(objects, 1), key=lambda item: -item[1][1].area):
             box, mask = part.box, part.mask
-            classes[box][mask] = annotation.class_id
-            instances[box][mask] = 0 if annotation.class_id == VOID else number + 1
+            classes[box][mask] = class_id
+            instances[box][mask] = 0 if class_id == VOID else number
         return classes, instances
 
     def _decode(self, annotation: CocoAnnotation, item: CocoImage) -> _PackedMask:

@@ -20,13 +20,7 @@ from pepperscene.dataset.readers.labels import (
     parse_labels,
     read_labels,
 )
-from pepperscene.dataset.readers.pictures import (
-    MaskImage,
-    mask_shape,
-    photo_shape,
-    read_mask_of,
-    read_photo,
-)
+from pepperscene.dataset.readers.pictures import MaskImage, mask_shape, photo_shape, read_mask_of, read_photo
 from pepperscene.errors import ArgumentError, InputError
 
 # Words of file and folder names that mark images, class masks, and neither of the two.

@@ -119,10 +119,7 @@ def read_labels(folder: Path) -> LabelMap | None:
 def parse_class(organ_class: Any, key: str, source: str | Path) -> int:
     """Class id of an `OrganClass`, its name in lower case, its id, or "void" or None; else `InputError`.
 
-    Args:
-        organ_class: as a user writes it.
-        key: that it belongs to, for messages.
-        source: file or argument that holds it, for messages.
+    Messages name the `key` that it belongs to, and the `source`, a file or an argument.
     """
     if organ_class is None:
         return VOID

@@ -111,9 +111,7 @@ def read_photo(path: Path) -> NDArray[np.uint8]:
 
 def photo_shape(path: Path) -> tuple[int, int]:
     """Height and width of a photograph as `read_photo` returns it, from the file header alone."""
-    with _open_image(path) as image:
-        width, height = image.size
-        return _displayed((height, width), _orientation(image))
+    return _displayed(*_header(path))
 
 
 def mark_orientation(
@@ -137,16 +135,9 @@ def mark_orientation(
     Raises:
         InputError: `exif` is None, and the size does not show which it was.
     """
-    with _open_image(photo) as image:
-        width, height = image.size
-        orientation = _orientation(image)
-    sizes: dict[Exif, tuple[int, int]] = {
-        "displayed": _displayed((height, width), orientation),
-        "stored": (height, width),
-    }
-    fitting = [
-        name for name in (("displayed", "stored") if exif is None else (exif,)) if sizes[name] == shape
-    ]
+    stored, orientation = _header(photo)
+    sizes: dict[Exif, tuple[int, int]] = {"displayed": _displayed(stored, orientation), "stored": stored}
+    fitting = [name for name in sizes if exif in (None, name) and sizes[name] == shape]
     if not fitting:
         return None
     if orientation != 1 and exif is None and (len(fitting) == 2 or (fitting == ["stored"] and not by_size)):
@@ -160,12 +151,7 @@ def mark_orientation(
 def read_mask_of(photo: Path, path: Path, exif: Exif | None = None) -> MaskImage | None:
     """Read the mask of a photograph, turned as `read_photo` turns the photograph; None for another size.
 
-    A mask that has an EXIF orientation itself is displayed by it.
-
-    Args:
-        photo: the photograph.
-        path: the mask.
-        exif: see `mark_orientation`.
+    A mask that has an EXIF orientation itself is displayed by it. `exif` is as of `mark_orientation`.
 
     Raises:
         InputError: as `read_mask` and `mark_orientation`.
@@ -193,8 +179,7 @@ def turn_image(image: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 def is_turned(photo: Path) -> bool:
     """Whether `read_photo` turns a photograph by its EXIF orientation."""
-    with _open_image(photo) as image:
-        return _orientation(image) != 1
+    return _header(photo)[1] != 1
 
 
 def with_upright_exif(png: bytes) -> bytes:
@@ -211,10 +196,12 @@ def parse_exif(value: Any, source: str | Path) -> Exif:
     return "displayed" if value == "displayed" else "stored"
 
 
-def _orientation(image: Any) -> int:
-    """EXIF orientation of a picture, 1 to 8; 1 if there is none, or another number."""
-    value = image.getexif().get(_ORIENTATION)
-    return int(value) if value in _TURNED else 1
+def _header(path: Path) -> tuple[tuple[int, int], int]:
+    """Stored height and width, and the EXIF orientation, 1 to 8; 1 if there is none, or another number."""
+    with _open_image(path) as image:
+        width, height = image.size
+        orientation = image.getexif().get(_ORIENTATION)
+    return (height, width), int(orientation) if orientation in _TURNED else 1
 
 
 def _displayed(shape: tuple[int, int], orientation: int) -> tuple[int, int]:
@@ -224,9 +211,7 @@ def _displayed(shape: tuple[int, int], orientation: int) -> tuple[int, int]:
 
 def mask_shape(path: Path) -> tuple[int, int]:
     """Height and width of a mask as `read_mask` returns it, from the file header alone."""
-    with _open_image(path) as image:
-        width, height = image.size
-        return height, width
+    return _header(path)[0]
 
 
 def read_mask(path: Path) -> MaskImage:

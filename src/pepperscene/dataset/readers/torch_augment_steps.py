@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
 from statistics import NormalDist
-from typing import Any, Final, final
+from typing import Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from pepperscene.outputs import OUTPUTS
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays of one sample by key: `image` (h, w, 3) uint8 in sRGB; `mask`, `instances` and the others of
 `ARRAY_KEYS`, each (h, w). All have the same height and width; any of them may be missing."""
+
+Strengths = Mapping[str, float]
+"""Largest value that is allowed for each attribute of these names."""
 
 _KEYS: Final = {"colour": "image", "class": "mask", "instance": "instances"}
 SAMPLE_KEYS: Final = {name: _KEYS.get(name, name) for name in LABELLED_OUTPUTS}
@@ -195,12 +198,15 @@ def _interpolate(image: NDArray[np.uint8], rows: _Span, columns: _Span) -> NDArr
 
 @dataclass(frozen=True, kw_only=True)
 class _ImageStep(AugmentationStep):
-    """A step that changes the image alone, with a probability."""
+    """A step that changes the image alone, with a probability; its strengths have largest values."""
 
     probability: float = 1.0
+    _largest: ClassVar[Strengths] = {}
 
     def __post_init__(self) -> None:
         _check_probability(self.probability)
+        for name, largest in self._largest.items():
+            _check_strength(name, getattr(self, name), largest)
 
     def apply(self, arrays: Arrays, rng: np.random.Generator) -> Arrays:
         """The arrays with the changed image, or the same ones."""
@@ -238,23 +244,18 @@ class ColourJitter(_ImageStep):
     gamma: float = 0.2
     gains: float = 0.06
     probability: float = 0.8
-
-    def __post_init__(self) -> None:
-        _check_probability(self.probability)
-        _check_strength("hue", self.hue, 0.5)
-        for name in ("brightness", "contrast", "saturation", "gamma", "gains"):
-            _check_strength(name, getattr(self, name), 1.0)
+    _largest: ClassVar[Strengths] = {
+        "hue": 0.5,
+        **dict.fromkeys(("brightness", "contrast", "saturation", "gamma", "gains"), 1.0),
+    }
 
     def change(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
         """One matrix and one table for all changes together."""
         from PIL import Image
 
         uniform = rng.uniform(-1.0, 1.0, 8)
-        brightness, contrast, saturation = 1.0 + uniform[:3] * (
-            self.brightness,
-            self.contrast,
-            self.saturation,
-        )
+        strengths = (self.brightness, self.contrast, self.saturation)
+        brightness, contrast, saturation = 1.0 + uniform[:3] * strengths
         gains = brightness * (1.0 + self.gains * uniform[5:])
         colour = _rotation(2.0 * np.pi * self.hue * uniform[3])
         colour = colour @ (saturation * np.eye(3) + (1.0 - saturation) * np.outer(np.ones(3), _LUMA))
@@ -291,10 +292,7 @@ class RandomBlur(_ImageStep):
 
     sigma_px: float = 1.5
     probability: float = 0.3
-
-    def __post_init__(self) -> None:
-        _check_probability(self.probability)
-        _check_strength("sigma_px", self.sigma_px, 100.0)
+    _largest: ClassVar[Strengths] = {"sigma_px": 100.0}
 
     def change(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
         """The blurred image."""
@@ -316,10 +314,7 @@ class RandomNoise(_ImageStep):
 
     sigma: float = 8.0
     probability: float = 0.5
-
-    def __post_init__(self) -> None:
-        _check_probability(self.probability)
-        _check_strength("sigma", self.sigma, 255.0)
+    _largest: ClassVar[Strengths] = {"sigma": 255.0}
 
     def change(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
         """The noisy image."""

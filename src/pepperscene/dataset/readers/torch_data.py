@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import RIPE_FROM, OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame, class_mask, mask_selection, numbers_by_class
 from pepperscene.dataset.readers.image_set import ARRAYS, ImageSet
 from pepperscene.dataset.readers.open import RenderedSet
 from pepperscene.dataset.readers.torch_augment import Augmentation
 from pepperscene.dataset.readers.torch_augment_steps import ARRAY_KEYS
-from pepperscene.dataset.selection import RIPE_FROM, Selection, parse_categories
+from pepperscene.dataset.selection import Selection, parse_categories
 from pepperscene.dataset.store.recorded_values import fruit_name
 from pepperscene.errors import ArgumentError, InputError, SetupError
 
@@ -119,12 +119,7 @@ class MaskClasses:
         return tuple(category.name for category in self.selection.categories)
 
     def mask(self, images: ImageSet, position: int, class_ids: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """`(h, w)` the class values of an image, 255 for pixels to ignore.
-
-        Args:
-            images: the set.
-            position: of the image in the set.
-            class_ids: `(h, w)` its class image.
+        """`(h, w)` the class values of the image at a position, by its class image; 255 for pixels to ignore.
 
         Raises:
             InputError: a frame lacks an output that its ripe and unripe fruit need.

@@ -193,10 +193,8 @@ def _as_tuple(values: Any) -> tuple[Any, ...]:
 
 def _open_split(source: ImageSet | str | Path, splits: Splits | None, split: str) -> ImageSet:
     images = source if isinstance(source, ImageSet) else open_images(source)
-    return images if splits is None else _select_split(images, splits, split)
-
-
-def _select_split(images: ImageSet, splits: Splits, split: str) -> RenderedSet:
+    if splits is None:
+        return images
     if not isinstance(images, RenderedSet):
         raise ArgumentError("splits", f"need frame indices, which the images of {images.name} do not have")
     positions = [position for position, index in enumerate(images.items) if splits.split_of(index) == split]

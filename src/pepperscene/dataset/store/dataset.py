@@ -21,13 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from numpy.typing import NDArray
 
-from pepperscene.atomic import (
-    canonical_json,
-    digest,
-    exclusive_access,
-    write_error,
-    write_file,
-)
+from pepperscene.atomic import canonical_json, digest, exclusive_access, write_errors, write_file
 from pepperscene.camera.sensor.bands import Band
 from pepperscene.dataset.store.frame_json import (
     CHECKSUM,
@@ -132,21 +126,16 @@ class Dataset:
     def write_tables(self, rows: Mapping[int, Row] | None = None) -> None:
         """Write `manifest.parquet`, and `fruit.parquet` if frames have the output `harvest`.
 
-        Several builds of one folder may call this at the same time: the last table holds all frames. Raises
-        `OutputError` if a table cannot be written.
-
-        Args:
-            rows: of frames that the caller has just written, by index, so that they need not be read again.
+        Several builds of one folder may call this at the same time: the last table holds all frames. `rows`
+        of frames that the caller has just written, by index, need not be read again. Raises `OutputError` if
+        a table cannot be written.
         """
-        try:
-            # No frame is added meanwhile.
-            with exclusive_access(self.folder / FRAMES):
-                self._write_manifest(rows or {})
-                harvested = [index for index in self.indices() if self.path(index, "harvest").is_file()]
-                if harvested:
-                    write_table(self.folder / FRUIT, rows_table(self._fruit_rows(harvested), FRUIT_COLUMNS))
-        except OSError as error:
-            raise write_error(error, self.folder / MANIFEST) from None
+        # No frame is added meanwhile.
+        with write_errors(self.folder / MANIFEST), exclusive_access(self.folder / FRAMES):
+            self._write_manifest(rows or {})
+            harvested = [index for index in self.indices() if self.path(index, "harvest").is_file()]
+            if harvested:
+                write_table(self.folder / FRUIT, rows_table(self._fruit_rows(harvested), FRUIT_COLUMNS))
 
     def _write_manifest(self, rows: Mapping[int, Row]) -> None:
         """Write one row for each frame: of the manifest so far if the frame is the same, or a new one."""

@@ -6,13 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pepperscene.atomic import (
-    check_can_create,
-    remove,
-    remove_temporary_files,
-    visible_names,
-    write_json,
-)
+from pepperscene.atomic import check_can_create, remove, remove_temporary_files, visible_names, write_json
 from pepperscene.dataset.store.dataset import FRAMES, MARK, Dataset
 from pepperscene.dataset.store.frame_json import CHECKSUM, checksum_of, is_as_written, read_json
 from pepperscene.dataset.store.journal import JOURNAL

@@ -32,10 +32,8 @@ _AUTO: Final = "auto"
 def drawn_columns(info: Mapping[str, Any]) -> dict[str, str]:
     """Further columns of a data set's manifest and their types; none for a recipe without variation.
 
-    They follow from the recipe alone, so that they do not depend on which frames exist.
-
-    Args:
-        info: the content of `dataset.json`, not validated.
+    They follow from the recipe in `dataset.json`, which need not be valid, so that they do not depend on
+    which frames exist.
     """
     recipe = as_mapping(info.get("recipe"))
     variation, twins = as_mapping(recipe.get("variation")), as_mapping(recipe.get("twins"))
@@ -184,14 +182,14 @@ def frame_row(metadata: Mapping[str, Any]) -> Row:
     """The row of a frame, without timings: from its JSON, of any content."""
     columns = ("index", "set", "rotation", "step", "seed", "recipe_seed", "checksum")
     row: Row = {name: metadata.get(name) for name in columns}
-    pose = _object(metadata, "camera").get("pose")
+    pose = as_mapping(metadata.get("camera")).get("pose")
     if pose is not None and _is_matrix(pose):
         row |= {name: pose[axis][3] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
         row["pose"] = [number for line in pose for number in line]
-    row |= {f"pixels_{name}": count for name, count in _object(metadata, "class_pixels").items()}
-    sampling = _object(metadata, "sampling")
+    row |= {f"pixels_{name}": count for name, count in as_mapping(metadata.get("class_pixels")).items()}
+    sampling = as_mapping(metadata.get("sampling"))
     row |= {name: sampling.get(name) for name in ("samples_per_pixel", "error_codes", "noise_codes")}
-    outputs = _object(metadata, "outputs")
+    outputs = as_mapping(metadata.get("outputs"))
     entries = {
         name: entry for name, entry in outputs.items() if name in OUTPUTS and isinstance(entry, Mapping)
     }
@@ -216,11 +214,6 @@ def stored_row(row: Row, columns: Mapping[str, str]) -> Row:
         if value is not None and _fits(kind, value):
             stored[name] = value
     return stored
-
-
-def _object(metadata: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    value = metadata.get(key)
-    return value if isinstance(value, dict) else {}
 
 
 def _is_matrix(value: Any) -> bool:
@@ -315,10 +308,13 @@ def open_table_file(path: Path, folder: Path) -> pyarrow.NativeFile:
 
 
 def table_schema(columns: Mapping[str, str]) -> pyarrow.Schema:
-    """The Arrow schema of a table with these columns, as of `table_columns`."""
+    """The Arrow schema of a table with these columns; a type with an s, such as "doubles", is a list."""
     import pyarrow
 
-    # Parquet names the entries of lists like this, so the schema is the same after reading.
-    doubles = pyarrow.list_(pyarrow.field("element", pyarrow.float64()))
-    types = [doubles if kind == "doubles" else pyarrow.type_for_alias(kind) for kind in columns.values()]
-    return pyarrow.schema(zip(columns, types, strict=True))
+    def arrow_type(kind: str) -> pyarrow.DataType:
+        if not kind.endswith("s"):
+            return pyarrow.type_for_alias(kind)
+        # Parquet names the entries of lists like this, so the schema is the same after reading.
+        return pyarrow.list_(pyarrow.field("element", pyarrow.type_for_alias(kind.removesuffix("s"))))
+
+    return pyarrow.schema([(name, arrow_type(kind)) for name, kind in columns.items()])

@@ -1,4 +1,7 @@
-"""What a `dataset.json` records of its recipe: values, which may differ between frames, and the crops."""
+"""What a `dataset.json` records of its recipe: values, which may differ between frames, and the crops.
+
+The argument `info` is the content of the file, which only the functions on crops need to be of valid types.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +18,14 @@ from pepperscene.units import default_value, table_fields
 
 
 def is_varied(info: Mapping[str, Any], *keys: str) -> bool:
-    """Whether any of some dotted keys of the recipe differs between the frames of a data set.
-
-    Args:
-        info: the content of `dataset.json`, not validated.
-        keys: of the recipe, such as "camera.exposure_us".
-    """
+    """Whether any of some dotted keys of the recipe differs between the frames of a data set."""
     recipe = as_mapping(info.get("recipe"))
     varied = as_mapping(recipe.get("variation")).keys() | as_mapping(recipe.get("twins")).keys()
     return not varied.isdisjoint(keys)
 
 
 def recorded_values(info: Mapping[str, Any], key: str) -> tuple[Any, ...]:
-    """All values that a dotted key of the recipe has in a data set; a varied number has no listed values.
-
-    Args:
-        info: the content of `dataset.json`, not validated.
-        key: of the recipe, such as "greenhouse.far_rows_as".
-    """
+    """All values that a dotted key of the recipe has in a data set; a varied number has no listed values."""
     recipe = as_mapping(info.get("recipe"))
     # A twin's value takes the place of a drawn one.
     if key in (twins := as_mapping(recipe.get("twins"))):
@@ -81,11 +74,7 @@ _FRUIT_NAMES: Final = {
 
 
 def cultivar_names(info: Mapping[str, Any]) -> tuple[str, ...]:
-    """The names of a data set's cultivars: one, unless the recipe varies it.
-
-    Args:
-        info: the content of `dataset.json`, of valid types.
-    """
+    """The names of a data set's cultivars: one, unless the recipe varies it."""
     return tuple(dict.fromkeys(map(str, recorded_values(info, "cultivar"))))
 
 
@@ -94,19 +83,12 @@ def crop_name(info: Mapping[str, Any]) -> str:
 
     `dataset.json` has only the name of a cultivar. The species of a cultivar that is not shipped is unknown;
     its own name is used instead.
-
-    Args:
-        info: the content of `dataset.json`, of valid types.
     """
     return " and ".join(dict.fromkeys(map(_crop_of_cultivar, cultivar_names(info))))
 
 
 def fruit_name(info: Mapping[str, Any]) -> str:
-    """The name of the fruit of a data set, such as "tomato"; "fruit" of other, unknown or several crops.
-
-    Args:
-        info: the content of `dataset.json`, of valid types.
-    """
+    """The name of the fruit of a data set, such as "tomato"; "fruit" of other, unknown or several crops."""
     names = {_FRUIT_NAMES.get(_species(name) or "", "fruit") for name in cultivar_names(info)}
     return names.pop() if len(names) == 1 else "fruit"
 

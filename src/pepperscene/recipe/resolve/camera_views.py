@@ -36,19 +36,12 @@ DrawnViews = Mapping[tuple[int, Views], "View | RandomView"]
 
 @dataclass(eq=False)
 class _SceneViews:
-    """The views of a scene that depend on it.
+    """The views of a scene that depend on it."""
 
-    Attributes:
-        drawn: so far.
-        earlier: those of the scene before its near plants were grown in full.
-        coarse: plants that no view may show from near, or None.
-        space: its free space, or None until it is needed.
-    """
-
-    drawn: dict[tuple[int, Views], View | RandomView] = field(default_factory=dict)
-    earlier: DrawnViews = field(default_factory=dict)
-    coarse: CoarsePlants | None = None
-    space: FreeSpace | None = None
+    drawn: dict[tuple[int, Views], View | RandomView] = field(default_factory=dict)  # so far
+    earlier: DrawnViews = field(default_factory=dict)  # before its near plants were grown in full
+    coarse: CoarsePlants | None = None  # plants that no view may show from near
+    space: FreeSpace | None = None  # None until it is needed
 
 
 class CameraViews:
@@ -74,175 +67,14 @@ class CameraViews:
         return isinstance(self._setups.resolved.recipe.views, RandomViews)
 
     def view(self, spec: FrameSpec, scene: Scene | None = None, visible: PointTest | None = None) -> View:
-        """The view of a frame's main camera; arguments as in `camera`."""
-        return self._view(spec, self._setups.at(spec), scene, visible)
-
-    def camera(
-        self,
-        spec: FrameSpec,
-        scene: Scene | None = None,
-        visible: PointTest | None = None,
-        view: View | None = None,
-    ) -> Camera:
-        """The camera of a frame at its pose.
+        """The view of a frame's main camera.
 
         Args:
             spec: the frame.
             scene: of the frame; needed if views depend on the scene.
             visible: tests whether points of that scene are visible; needed for random views.
-            view: of the main camera, in place of the frame's own.
         """
         setup = self._setups.at(spec)
-        return self._camera_at(spec, setup, view or self._view(spec, setup, scene, visible))
-
-    def _camera_at(self, spec: FrameSpec, setup: FrameSetup, view: View) -> Camera:
-        """The camera of a frame with a view."""
-        camera = setup.camera
-        if spec.camera:
-            extrinsics = self._setups.resolved.recipe.rig[spec.camera - 1].extrinsics
-            view, camera = _view_of_rig(view, extrinsics), _with_flash_of_rig(camera, extrinsics)
-        camera = camera.at_pose(view.pose)
-        return camera if view.motion is None else replace(camera, motion=view.motion)
-
-    def target(self, spec: FrameSpec, scene: Scene) -> int | None:
-        """Index among the scene's instances of what a random view looks at; None for a point or other views.
-
-        The view must have been drawn: by `camera` with the same scene.
-        """
-        key = spec.moment, self._setups.at(spec).recipe.views
-        view = self._of_scene[scene].drawn.get(key) if scene in self._of_scene else None
-        return None if view is None or isinstance(view, View) else view.target_instance
-
-    def partners(
-        self,
-        spec: FrameSpec,
-        outputs: Iterable[str],
-        scene: Scene | None = None,
-        visible: PointTest | None = None,
-        view: View | None = None,
-    ) -> Partners:
-        """The further devices that outputs of a frame need; other arguments as in `camera`.
-
-        The camera of the next step is missing at the last one, and beside a `view`. The stereo partner looks
-        in the same direction from one baseline further right, at the same time and by the same flash. Raises
-        `InputError` if the recipe has no partner that an output needs.
-        """
-        from pepperscene.camera import Partners
-
-        names, recipe = set(outputs), self._setups.at(spec).recipe
-        check_further_cameras(recipe, names)
-        partners = Partners()
-        if "flow" in names and view is None and spec.step + 1 < self._plan.frames:
-            next_spec = self._plan.frame(spec.index + self._plan.cameras)
-            partners = replace(partners, flow=self.camera(next_spec, scene, visible))
-        if names & STEREO_OUTPUTS and recipe.camera.baseline_m is not None:
-            stereo = _stereo_partner(self.camera(spec, scene, visible, view), recipe.camera.baseline_m)
-            partners = replace(partners, stereo=stereo)
-        if names & DEPTH_CAMERA_OUTPUTS:
-            partners = replace(partners, depth=self.depth_camera(spec, scene, visible, view))
-        if "reflectance" in names:
-            partners = replace(partners, white_reference=white_reference(recipe))
-        return partners
-
-    def depth_camera(
-        self,
-        spec: FrameSpec,
-        scene: Scene | None = None,
-        visible: PointTest | None = None,
-        view: View | None = None,
-    ) -> DepthCamera | None:
-        """The depth camera of a frame at its pose, or None; arguments as in `camera`.
-
-        It moves with the main camera, also in frames of other cameras of a rig.
-        """
-        setup = self._setups.at(spec)
-        if setup.depth_camera is None:
-            return None
-        return self._depth_camera_at(setup, view or self._view(spec, setup, scene, visible))
-
-    def _depth_camera_at(self, setup: FrameSetup, view: View) -> DepthCamera | None:
-        """The depth camera of a frame with a view, or None."""
-        table, depth_camera = setup.recipe.depth_camera, setup.depth_camera
-        if table is None or depth_camera is None:
-            return None
-        view = _view_of_rig(view, table.extrinsics)
-        left = depth_camera.left.at_pose(view.pose)
-        return depth_camera.with_left(left if view.motion is None else replace(left, motion=view.motion))
-
-    def frustums(self, specs: Iterable[FrameSpec]) -> ViewFrustums:
-        """The view frustums of all cameras of some frames, partners included."""
-        from pepperscene.scene import ViewFrustums, view_frustums
-
-        # Cameras that differ in their poses only are handled together.
-        groups: dict[tuple[str, int, int], list[Camera]] = {}
-        for spec in specs:
-            setup = self._setups.at(spec)
-            for number, camera in enumerate(self._all_cameras(spec, self._view(spec, setup, None, None))):
-                key = (setup.optics, number, spec.camera)
-                groups.setdefault(key, []).extend(_along_motion(camera))
-        parts = [
-            view_frustums(cameras[0], [camera.pose for camera in cameras]) for cameras in groups.values()
-        ]
-        if len(parts) == 1:
-            return parts[0]
-        return ViewFrustums(
-            np.concatenate([part.normals for part in parts]),
-            np.concatenate([part.offsets for part in parts]),
-            np.concatenate([part.positions for part in parts]),
-        )
-
-    def near_views(
-        self,
-        specs: Iterable[FrameSpec],
-        scene: Scene | None = None,
-        visible: PointTest | None = None,
-        view: View | None = None,
-    ) -> NearViews:
-        """What all cameras of some frames show from near, partners included; arguments: see `camera`."""
-        from pepperscene.recipe.views.near_plants import near_views
-
-        views = [(spec, view or self._view(spec, self._setups.at(spec), scene, visible)) for spec in specs]
-        return near_views(camera for spec, view in views for camera in self._all_cameras(spec, view))
-
-    def drawn(self, scene: Scene) -> DrawnViews:
-        """The views of a scene that depend on it and are drawn so far."""
-        return dict(self._of_scene[scene].drawn) if scene in self._of_scene else {}
-
-    def continue_in(self, scene: Scene, earlier: DrawnViews, coarse: CoarsePlants) -> None:
-        """Keep views in a scene whose near plants are grown in full.
-
-        Args:
-            scene: in which views of functions are the same as before, and random ones where they are still
-                within their limits.
-            earlier: views of the scene before.
-            coarse: its other plants of far rows, which random views do not show from near.
-        """
-        self._of_scene[scene] = _SceneViews(earlier=earlier, coarse=coarse)
-
-    def _all_cameras(self, spec: FrameSpec, view: View) -> list[Camera]:
-        """All cameras of a frame with a view: its own, the partner, the imagers of the depth camera.
-
-        They have the longest exposure that they can have.
-        """
-        setup = self._setups.at(spec)
-        baseline_m = setup.recipe.camera.baseline_m
-        cameras = [self._camera_at(spec, setup, view)]
-        if baseline_m is not None:
-            cameras.append(_stereo_partner(cameras[0], baseline_m))
-        cameras = [self._longest_exposure(spec, camera) for camera in cameras]
-        depth_camera = self._depth_camera_at(setup, view)
-        if depth_camera is not None:
-            cameras += depth_camera.longest_exposed()
-        return cameras
-
-    def _longest_exposure(self, spec: FrameSpec, camera: Camera) -> Camera:
-        """The camera with the longest exposure that it can have in a frame."""
-        control = self._setups.at(spec).recipe.exposure_control
-        return camera if control is None else replace(camera, exposure_s=control.exposure_s[1])
-
-    def _view(
-        self, spec: FrameSpec, setup: FrameSetup, scene: Scene | None, visible: PointTest | None
-    ) -> View:
         table, frames, where = setup.recipe.views, self._plan.frames, setup.recipe.name
         if not isinstance(table, RandomViews | FunctionViews):
             view = fixed_view(table, spec.step, frames, setup.recipe.greenhouse or Greenhouse(), where)
@@ -267,6 +99,113 @@ class CameraViews:
                 of_scene.drawn |= {(first + step, table): View(pose) for step, pose in enumerate(poses)}
         drawn = of_scene.drawn[key]
         return drawn if isinstance(drawn, View) else View(drawn.pose)
+
+    def camera(self, spec: FrameSpec, view: View | None = None) -> Camera:
+        """The camera of a frame, at its pose with a view of the main camera; None for the frame's own."""
+        camera, view = self._setups.at(spec).camera, view or self.view(spec)
+        if spec.camera:
+            extrinsics = self._setups.resolved.recipe.rig[spec.camera - 1].extrinsics
+            view, camera = _view_of_rig(view, extrinsics), _with_flash_of_rig(camera, extrinsics)
+        camera = camera.at_pose(view.pose)
+        return camera if view.motion is None else replace(camera, motion=view.motion)
+
+    def target(self, spec: FrameSpec, scene: Scene) -> int | None:
+        """Index among the scene's instances of what a random view looks at; None for a point or other views.
+
+        The view must have been drawn: by `view` with the same scene.
+        """
+        key = spec.moment, self._setups.at(spec).recipe.views
+        view = self._of_scene[scene].drawn.get(key) if scene in self._of_scene else None
+        return None if view is None or isinstance(view, View) else view.target_instance
+
+    def partners(self, spec: FrameSpec, outputs: Iterable[str], view: View | None = None) -> Partners:
+        """The further devices that outputs of a frame need, but the camera of the next step; view: `camera`.
+
+        The stereo partner looks in the same direction from one baseline further right, at the same time and
+        by the same flash. Raises `InputError` if the recipe has no partner that an output needs.
+        """
+        from pepperscene.camera import Partners
+
+        names, recipe = set(outputs), self._setups.at(spec).recipe
+        check_further_cameras(recipe, names)
+        partners = Partners()
+        if names & STEREO_OUTPUTS and recipe.camera.baseline_m is not None:
+            stereo = _stereo_partner(self.camera(spec, view), recipe.camera.baseline_m)
+            partners = replace(partners, stereo=stereo)
+        if names & DEPTH_CAMERA_OUTPUTS:
+            partners = replace(partners, depth=self.depth_camera(spec, view))
+        if "reflectance" in names:
+            partners = replace(partners, white_reference=white_reference(recipe))
+        return partners
+
+    def depth_camera(self, spec: FrameSpec, view: View | None = None) -> DepthCamera | None:
+        """The depth camera of a frame at its pose, or None; arguments as in `camera`.
+
+        It moves with the main camera, also in frames of other cameras of a rig.
+        """
+        setup = self._setups.at(spec)
+        table, depth_camera = setup.recipe.depth_camera, setup.depth_camera
+        if table is None or depth_camera is None:
+            return None
+        view = _view_of_rig(view or self.view(spec), table.extrinsics)
+        left = depth_camera.left.at_pose(view.pose)
+        return depth_camera.with_left(left if view.motion is None else replace(left, motion=view.motion))
+
+    def frustums(self, specs: Iterable[FrameSpec]) -> ViewFrustums:
+        """The view frustums of all cameras of some frames, partners included."""
+        from pepperscene.scene import ViewFrustums, view_frustums
+
+        # Cameras that differ in their poses only are handled together.
+        groups: dict[tuple[str, int, int], list[Camera]] = {}
+        for spec in specs:
+            optics = self._setups.at(spec).optics
+            for number, camera in enumerate(self._all_cameras(spec, self.view(spec))):
+                groups.setdefault((optics, number, spec.camera), []).extend(_along_motion(camera))
+        parts = [
+            view_frustums(cameras[0], [camera.pose for camera in cameras]) for cameras in groups.values()
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        return ViewFrustums(
+            np.concatenate([part.normals for part in parts]),
+            np.concatenate([part.offsets for part in parts]),
+            np.concatenate([part.positions for part in parts]),
+        )
+
+    def near_views(self, views: Iterable[tuple[FrameSpec, View]]) -> NearViews:
+        """What all cameras of some frames with these views show from near, partners included."""
+        from pepperscene.recipe.views.near_plants import near_views
+
+        return near_views(camera for spec, view in views for camera in self._all_cameras(spec, view))
+
+    def drawn(self, scene: Scene) -> DrawnViews:
+        """The views of a scene that depend on it and are drawn so far."""
+        return dict(self._of_scene[scene].drawn) if scene in self._of_scene else {}
+
+    def continue_in(self, scene: Scene, earlier: DrawnViews, coarse: CoarsePlants) -> None:
+        """Keep views in a scene whose near plants are grown in full.
+
+        Args:
+            scene: in which views of functions are the same as before, and random ones where they are still
+                within their limits.
+            earlier: views of the scene before.
+            coarse: its other plants of far rows, which random views do not show from near.
+        """
+        self._of_scene[scene] = _SceneViews(earlier=earlier, coarse=coarse)
+
+    def _all_cameras(self, spec: FrameSpec, view: View) -> list[Camera]:
+        """All cameras of a frame with a view: its own, the partner, the imagers of the depth camera.
+
+        They have the longest exposure that they can have.
+        """
+        recipe, cameras = self._setups.at(spec).recipe, [self.camera(spec, view)]
+        if recipe.camera.baseline_m is not None:
+            cameras.append(_stereo_partner(cameras[0], recipe.camera.baseline_m))
+        if (control := recipe.exposure_control) is not None:
+            cameras = [replace(camera, exposure_s=control.exposure_s[1]) for camera in cameras]
+        if recipe.depth_camera is not None and (depth_camera := self.depth_camera(spec, view)) is not None:
+            cameras += depth_camera.longest_exposed()
+        return cameras
 
     def _random_view(
         self,

@@ -32,34 +32,25 @@ _HELD: Final = 16
 Content = TypeVar("Content")
 
 
-@dataclass(frozen=True, eq=False)
-class FrameValues:
-    """The recipe of one frame.
-
-    Attributes:
-        recipe: without variation, twins and rig.
-        drawn: the values that differ between frames, by dotted key, ready for JSON.
-    """
-
-    recipe: Recipe
-    drawn: dict[str, Any]
-
-
-def frame_values(recipe: Recipe, spec: FrameSpec) -> FrameValues:
+def frame_values(recipe: Recipe, spec: FrameSpec) -> tuple[Recipe, dict[str, Any]]:
     """Draw the values of a frame.
+
+    Returns:
+        The frame's recipe, without variation, twins and rig; and the values that differ between frames, by
+            dotted key, ready for JSON.
 
     Raises:
         InputError: drawn values, each valid, are not valid together.
     """
     if not (recipe.variation or recipe.twins or recipe.rig):
-        return FrameValues(recipe, {})
+        return recipe, {}
     draws = draw_values(recipe.variation, recipe.seed, spec)
     twins = {dotted: values[spec.twin] for dotted, values in recipe.twins.items()}
     changes: list[tuple[Key, Any]] = [(varied.key, value) for varied, value in draws]
     changes += twin_changes(recipe, spec.twin)
     where = f"{recipe.name}, frame {spec.index}"
     drawn = as_json(draws) | {dotted: json_value(value) for dotted, value in twins.items()}
-    return FrameValues(changed_recipe(recipe, changes, where, spec.camera), drawn)
+    return changed_recipe(recipe, changes, where, spec.camera), drawn
 
 
 def twin_changes(recipe: Recipe, twin: int) -> list[tuple[Key, Any]]:
@@ -100,13 +91,9 @@ def _change(tables: dict[str, Any], key: Key, value: Any, where: str) -> None:
 def as_written(
     error: InputError, recipe: Recipe, changes: Iterable[tuple[Key, Any]], camera: int = 0
 ) -> InputError:
-    """An error of a frame's recipe, with the key under which the recipe's file holds its value.
+    """An error of a changed recipe's frame, with the key under which the recipe's file holds its value.
 
-    Args:
-        error: of the changed recipe.
-        recipe: with its rig and twins.
-        changes: of the recipe; those of twins are searched.
-        camera: number of the camera on the rig.
+    The recipe has its rig and twins; of the changes, those of twins are searched.
     """
     parts = error.key.split(".")
     if camera and parts[0] == "camera" and (len(parts) == 1 or parts[1] in recipe.rig[camera - 1].camera):
@@ -165,19 +152,15 @@ class FrameSetups:
         recipe = resolved.recipe
         self.same_for_all = not (recipe.variation or recipe.twins or recipe.rig)
         self._only = FrameSetup(
-            recipe,
-            resolved.cultivar,
-            resolved.camera,
-            resolved.cover,
-            depth_camera=resolved.depth_camera,
+            recipe, resolved.cultivar, resolved.camera, resolved.cover, depth_camera=resolved.depth_camera
         )
 
     def at(self, spec: FrameSpec) -> FrameSetup:
         """The setup of a frame; raises `InputError` if drawn values are not valid together."""
         if self.same_for_all:
             return self._only
-        values = frame_values(self.resolved.recipe, spec)
-        recipe, where = values.recipe, f"{self.resolved.recipe.name}, frame {spec.index}"
+        recipe, drawn = frame_values(self.resolved.recipe, spec)
+        where = f"{self.resolved.recipe.name}, frame {spec.index}"
         tables = recipe.model_dump(mode="json")
         plants = _key(tables, PLANT_TABLES)
         light = _key(tables, ("daylight",))
@@ -187,7 +170,7 @@ class FrameSetups:
             cultivar=self._part("cultivar", plants, lambda: load_recipe_cultivar(recipe, where, files)),
             camera=self._part("camera", optics, lambda: load_camera(recipe, where, files)),
             cover=self._part("cover", light, lambda: load_recipe_cover(recipe, where, files)),
-            drawn=values.drawn,
+            drawn=drawn,
             plants=plants,
             light=light,
             optics=optics,

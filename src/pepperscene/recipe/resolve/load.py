@@ -234,12 +234,11 @@ def _absolute_paths(value: Any, folder: Path) -> Any:
         return [_absolute_paths(item, folder) for item in value]
     if isinstance(value, dict):
         # Outcomes are keys; "in_turn" and the settings are no paths.
-        return {_absolute_path(key, folder): _in_turn_paths(key, item, folder) for key, item in value.items()}
+        return {
+            _absolute_path(key, folder): _absolute_paths(item, folder) if key == "in_turn" else item
+            for key, item in value.items()
+        }
     return value
-
-
-def _in_turn_paths(key: str, value: Any, folder: Path) -> Any:
-    return _absolute_paths(value, folder) if key == "in_turn" else value
 
 
 def _absolute_path(name_or_path: str, folder: Path) -> str:

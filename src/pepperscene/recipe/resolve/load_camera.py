@@ -1,4 +1,4 @@
-"""Loading the camera and the depth camera of a recipe: their parts by name, with the recipe's settings."""
+"""Loading the cameras and the lamps of a recipe: their parts by name, with the recipe's settings."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from pepperscene.errors import InputError
 from pepperscene.recipe.camera_tables import AUTO, GENERIC_SENSOR, INTRINSICS, SIZE_KEYS, CameraTable
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolve.load_lamps import load_lamps
 from pepperscene.recipe.resolve.named_files import NamedFiles
-from pepperscene.recipe.tables import WhiteReferenceTable
+from pepperscene.recipe.tables import MOST_LAMPS, WhiteReferenceTable
 from pepperscene.recipe.views_tables import ArcViews, PathViews, PoseViews
 from pepperscene.units import NONE, file_values
 
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
         Camera,
         DepthCamera,
         ImageProcessor,
+        Lamp,
         Lens,
         Projector,
         Sensor,
@@ -41,6 +41,8 @@ what light can be neglected."""
 _MIN_EFFICIENCY: Final = 1e-9
 """Electrons per photon, of the most sensitive colour. Chosen: less than any dark current leaves visible, and
 far from where single precision ends."""
+
+_MOST_LAMP_FILES: Final = 8  # chosen: as many spectra as the renderer takes
 
 # Of a lens that a recipe describes in numbers.
 _F_NUMBER: Final = 2.0  # chosen: camera modules of webcams, phones and depth cameras have 1.8 to 2.4
@@ -340,3 +342,34 @@ def _check_detected(projector: Projector, sensor: Sensor, where: str | Path, key
     if not efficiency.at([projector.wavelength_nm]).max() >= _MIN_DETECTED * efficiency.values.max():
         problem = f"emits {projector.wavelength_nm:g} nm, which the imagers do not detect"
         raise InputError(where, problem, key=key, value=name)
+
+
+def load_lamps(
+    recipe: Recipe, fixed: str, where: str | Path = "", files: NamedFiles | None = None
+) -> tuple[Lamp, ...]:
+    """Load the lamps that are fixed in the "world" or to the "camera", in its axes.
+
+    Other arguments and errors are as in `load_files`.
+    """
+    if not recipe.lamps:
+        return ()
+    from pepperscene.camera.lamps.lamp_files import load_lamp
+
+    where, files = where or recipe.name, files or NamedFiles()
+    if (count := sum(table.lamps for table in recipe.lamps)) > MOST_LAMPS:
+        raise InputError(where, f"must be at most {MOST_LAMPS} lamps, not {count}", key="lamps")
+    if len({table.lamp for table in recipe.lamps}) > _MOST_LAMP_FILES:
+        raise InputError(where, f"must name at most {_MOST_LAMP_FILES} different files", key="lamps")
+    placed: list[Lamp] = []
+    for number, table in enumerate(recipe.lamps):
+        key = f"lamps.{number}.lamp"
+        lamp = files.load(load_lamp, where, key, table.lamp)
+        if lamp.pulse_s is not None and recipe.camera.exposure_s == AUTO:
+            problem = "is flashed, which needs an exposure in microseconds"
+            raise InputError(where, problem, key=key, value=table.lamp)
+        try:
+            lamps = table.placed(lamp)
+        except ValueError as error:
+            raise InputError(where, str(error), key=f"lamps.{number}") from None
+        placed += lamps if table.fixed == fixed else []
+    return tuple(placed)

@@ -29,14 +29,9 @@ class NamedFiles:
         name: str,
         content: Hashable | None = None,
     ) -> Content:
-        """Load a file; if there is no such file, the error names the recipe's key.
+        """Load a file by its name; if there is none, the error names the recipe, `where`, and its key.
 
-        Args:
-            load: reads a file by its name or path; the same function for all files of a kind.
-            where: name of the recipe in errors.
-            key: of the recipe.
-            name: its value.
-            content: identifies what is loaded from files of this kind; by default it is the function.
+        The same function loads all files of a kind, unless `content` identifies what is loaded.
         """
         index = (content or load, name)
         if index in self._contents:

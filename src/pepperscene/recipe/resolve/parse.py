@@ -51,11 +51,7 @@ _DERIVED: Final = ("twins", "cameras")
 
 
 def parse_recipe(table: Mapping[str, Any], where: str) -> Recipe:
-    """Validate the tables of a recipe; all values that can be drawn must be valid.
-
-    Args:
-        table: as in a file, without `extends`.
-        where: name of the recipe in errors.
+    """Validate a recipe's tables, as in a file without `extends`; all values that can be drawn must be valid.
 
     Raises:
         InputError: the first error, with its key and value.
@@ -205,15 +201,10 @@ _LAST: Final = 1.0 - 1e-9  # probability of the highest value that is drawn
 
 
 def check_outcomes(recipe: Recipe, where: str | Path, files: NamedFiles) -> None:
-    """Load all files that any frame needs, and check values that are drawn together.
+    """Load all files that any frame needs, and check values that are drawn together, each valid by itself.
 
     Values depend on each other within a few groups of tables; of each, combinations of the limits of ranges,
     of all outcomes of choices, of all twins and of all cameras of the rig are checked.
-
-    Args:
-        recipe: of which each value that can be drawn is valid by itself.
-        where: name of the recipe in errors.
-        files: the files that are loaded already.
 
     Raises:
         InputError: a file is missing or not valid, or values are not valid together.

@@ -13,8 +13,12 @@ import numpy as np
 
 from pepperscene.errors import NEEDS_PERMISSION, InputError
 from pepperscene.recipe.recipe import Recipe
-from pepperscene.recipe.resolve.load_camera import load_camera, load_depth_camera, surface_wavelengths
-from pepperscene.recipe.resolve.load_lamps import load_lamps
+from pepperscene.recipe.resolve.load_camera import (
+    load_camera,
+    load_depth_camera,
+    load_lamps,
+    surface_wavelengths,
+)
 from pepperscene.recipe.resolve.named_files import NamedFiles
 from pepperscene.recipe.tables import GrowthTable
 from pepperscene.recipe.views_tables import FunctionViews, RandomViews
@@ -83,10 +87,7 @@ class ResolvedRecipe:
 def load_files(recipe: Recipe, where: str | Path = "", files: NamedFiles | None = None) -> ResolvedRecipe:
     """Load the files that a recipe names with its typical values.
 
-    Args:
-        recipe: the validated recipe.
-        where: name of the recipe in error messages; by default its own.
-        files: those that are loaded already; these are added.
+    Errors name `where`, by default the recipe; `files` are those that are loaded already, and get these.
 
     Raises:
         InputError: a file is missing or not valid, or the parts do not fit together.

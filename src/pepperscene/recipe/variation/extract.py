@@ -27,12 +27,7 @@ FIXED: Final = {"name", "seed", "plan", "expect", "twins", "rig", "lamps"}
 def extract_varied(
     table: Mapping[str, Any], model: Any, where: str
 ) -> tuple[dict[str, Any], tuple[Varied, ...]]:
-    """Separate a recipe's table into one with typical values and the varied values.
-
-    Args:
-        table: as in the file.
-        model: of the recipe.
-        where: name of the recipe in errors.
+    """Separate a recipe's table, as in its file, into one with typical values and the varied values.
 
     Raises:
         InputError: the table of a varied value is not valid, or a value cannot vary.
@@ -156,11 +151,8 @@ def _models(annotation: Any) -> Iterator[type[Any]]:
 
 def _holds_tables(annotation: Any) -> bool:
     """Whether a type is a model, a table of free keys, or a container of them."""
-    if annotation is dict or typing.get_origin(annotation) is dict:
-        return True
-    if is_table(annotation):
-        return True
-    return any(_holds_tables(part) for part in typing.get_args(annotation))
+    is_free = annotation is dict or typing.get_origin(annotation) is dict
+    return is_free or is_table(annotation) or any(map(_holds_tables, typing.get_args(annotation)))
 
 
 def _is_list(annotation: Any) -> bool:

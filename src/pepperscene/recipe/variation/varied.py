@@ -55,16 +55,6 @@ def _positions(values: Sequence[Any]) -> dict[Any, int]:
     return {text: len(texts) - 1 - number for number, text in enumerate(reversed(texts))}
 
 
-def _limits_and_some(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """All different values; of many that are no names, the least, the greatest, and some between them."""
-    distinct = distinct_values(values)
-    if len(distinct) <= MAX_CHECKED or any(isinstance(value, str) for value in distinct):
-        return tuple(distinct)
-    with suppress(TypeError):
-        distinct.sort()
-    return tuple(distinct[i] for i in np.linspace(0, len(distinct) - 1, MAX_CHECKED).astype(int))
-
-
 @dataclass(frozen=True)
 class Varied(ABC):
     """A value of a recipe that differs between sets, scenes or frames.
@@ -252,7 +242,12 @@ class VariedInTurn(Varied):
     @property
     def extremes(self) -> tuple[Any, ...]:
         """All different values; of many that are no names, the limits and some between them."""
-        return _limits_and_some(self.values)
+        distinct = distinct_values(self.values)
+        if len(distinct) <= MAX_CHECKED or any(isinstance(value, str) for value in distinct):
+            return tuple(distinct)
+        with suppress(TypeError):
+            distinct.sort()
+        return tuple(distinct[i] for i in np.linspace(0, len(distinct) - 1, MAX_CHECKED).astype(int))
 
     @cached_property
     def positions(self) -> dict[Any, int]:

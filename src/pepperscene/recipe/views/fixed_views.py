@@ -11,14 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.errors import InputError
-from pepperscene.recipe.views_tables import (
-    ArcViews,
-    GridViews,
-    PathViews,
-    PoseViews,
-    ProtocolViews,
-    Views,
-)
+from pepperscene.recipe.views_tables import ArcViews, GridViews, PathViews, PoseViews, ProtocolViews, Views
 
 if TYPE_CHECKING:
     from pepperscene.camera import Motion

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import OrganClass
+from pepperscene.classes import RIPE_FROM, OrganClass
 from pepperscene.errors import InputError
 from pepperscene.geometry.surface_samples import area_normals, sample_surface
 
@@ -23,9 +23,6 @@ FloatArray = NDArray[np.float64]
 
 FRUIT_TARGETS: Final = ("fruit", "ripe fruit", "unripe fruit")
 """Targets that work with every cultivar; others are names of its organ kinds, and of classes."""
-
-RIPE_FROM: Final = 0.5
-"""Mean ripeness from which a fruit counts as ripe, chosen: half of its colour has changed."""
 
 _SAMPLES: Final = 256
 """Points on an organ. Chosen: its visible fraction is known to about 0.02, and tracing so few rays takes
@@ -55,12 +52,9 @@ class Target:
 def target_instances(scene: Scene, name: str, where: str | Path) -> NDArray[np.intp]:
     """`(n,)` indices of the instances that a target's name refers to, ascending.
 
-    Only instances of the recipe's own plants that have triangles count, not those of far rows.
-
-    Args:
-        scene: with its skeleton, if it has one, which holds the kinds of organs and the ripeness of fruit.
-        name: one of `FRUIT_TARGETS`, an organ kind, or a class in lower case.
-        where: name of the recipe, for errors.
+    Only instances of the recipe's own plants that have triangles count, not those of far rows. The name is
+    one of `FRUIT_TARGETS`, an organ kind, or a class in lower case. A skeleton of the scene holds the kinds
+    of organs and the ripeness of fruit.
 
     Raises:
         InputError: no organ of the plants has this name, or none of them is in the scene.
@@ -104,9 +98,8 @@ def _classes() -> dict[str, OrganClass]:
 
 def organ_target(mesh: Mesh, instance: int, space: FreeSpace) -> Target:
     """An organ with triangles as a target."""
-    triangles = _triangles(mesh, instance)
-    centroid = _centroid(triangles, np.linalg.norm(area_normals(triangles), axis=1))
-    samples = sample_surface(triangles, _SAMPLES)
+    centroid = organ_centroid(mesh, instance)
+    samples = sample_surface(_triangles(mesh, instance), _SAMPLES)
     if samples is None:
         return Target(instance, centroid, centroid[None], None, False)
     return Target(instance, centroid, samples.points, samples.normals, space.is_closed(instance))
@@ -115,21 +108,17 @@ def organ_target(mesh: Mesh, instance: int, space: FreeSpace) -> Target:
 def organ_centroid(mesh: Mesh, instance: int) -> FloatArray:
     """`(3,)` centroid of the surface of an organ with triangles; the mean corner of one without area."""
     triangles = _triangles(mesh, instance)
-    return _centroid(triangles, np.linalg.norm(area_normals(triangles), axis=1))
-
-
-def _triangles(mesh: Mesh, instance: int) -> FloatArray:
-    """`(n, 3, 3)` corners of an instance's triangles."""
-    return mesh.vertices[mesh.faces[mesh.face_runs.rows(instance)]].astype(float)
-
-
-def _centroid(triangles: FloatArray, areas: FloatArray) -> FloatArray:
-    """`(3,)` centroid of `(n, 3, 3)` triangles with `(n,)` areas; their mean corner if they have no area."""
+    areas = np.linalg.norm(area_normals(triangles), axis=1)
     total = np.cumsum(areas)[-1]
     if not total > 0.0:
         return np.asarray(triangles.mean(axis=(0, 1)))
     first, second, third = triangles.transpose(1, 0, 2)
     return np.asarray(areas @ (first + second + third) / (3.0 * total))
+
+
+def _triangles(mesh: Mesh, instance: int) -> FloatArray:
+    """`(n, 3, 3)` corners of an instance's triangles."""
+    return mesh.vertices[mesh.faces[mesh.face_runs.rows(instance)]].astype(float)
 
 
 def point_target(point: tuple[float, float, float]) -> Target:

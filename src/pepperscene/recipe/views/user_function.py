@@ -32,12 +32,6 @@ def function_poses(
 ) -> NDArray[np.float64]:
     """Call a function `poses(scene, rng)` of a file; it returns `(frames, 4, 4)` camera-to-world poses.
 
-    Args:
-        table: file and name of the function.
-        scene: with all its triangles.
-        rng: the random generator of the scene's views.
-        frames: number of poses that the plan needs.
-
     Raises:
         InputError: the file has no such function, or it fails or returns something else.
     """
@@ -93,7 +87,7 @@ def check_definition(table: FunctionViews, where: str | Path) -> None:
     try:
         tree = ast.parse(read_text(Path(table.file)), table.file)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(table.file, f"is not valid Python: {_line(error)}") from None
+        raise InputError(table.file, f"is not valid Python: {' '.join(str(error).split())}") from None
     names = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     names |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     names |= {
@@ -114,8 +108,3 @@ def _load(file: str, name: str, _content: str) -> Any:
     if not callable(function):
         raise InputError(file, "must define this function", key=name)
     return function
-
-
-def _line(error: BaseException) -> str:
-    """The message of an error in one line."""
-    return " ".join(str(error).split())

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pepperscene.dataset.store.dataset import FRAMES, Dataset, file_name
-from pepperscene.dataset.store.field_models import AmodalFields, FrameFields, HarvestFields
-from pepperscene.dataset.store.fields import has_ignored_pixels
+from pepperscene.dataset.store.fields import AmodalFields, FrameFields, HarvestFields, has_ignored_pixels
 from pepperscene.dataset.store.frame_json import is_as_written
 from pepperscene.dataset.store.images import read_image
 from pepperscene.dataset.store.journal import TIMINGS

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pepperscene.atomic import SYSTEM_FILES, is_temporary
 from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import FORMAT, FRAMES, MARK, Dataset, file_name
-from pepperscene.dataset.store.field_models import DatasetFields
+from pepperscene.dataset.store.fields import DatasetFields
 from pepperscene.dataset.store.folder import REPORT_FILES, SET_FILES
 from pepperscene.dataset.store.frame_json import DIGITS, frame_index, is_as_written, read_json
 from pepperscene.dataset.store.manifest import (
