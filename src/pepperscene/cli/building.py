@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pepperscene.building.execution.options import BuildOptions
+from pepperscene.building.scenes.light_options import LightOptions
 from pepperscene.cli.application import (
     DEFAULTS,
     CodeOption,
@@ -302,3 +303,27 @@ def cultivars() -> None:
         typer.echo(
             f"{name:<{max(map(len, names))}}  {model.name}, {model.species}: {model.stem.parts} nodes{date}"
         )
+
+
+@command
+def light(
+    *,
+    out: TablesOption,
+    recipe: RecipeArgument = "demo",
+    frame: FrameOption = None,
+    options: LightOptions,
+    form: TableFormatOption = "parquet",
+    seed: SeedOption = None,
+    set: SetOption = None,
+) -> None:
+    """Write the light that each organ, plant, layer and row absorbs as tables, at a moment or over a day."""
+    from pepperscene.building.scenes.light_tables import check_light_output, light_tables, write_light
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
+
+    check_light_output(out, form)
+    resolved = resolve_recipe(recipe, parse_changes(set or ()), seed)
+    tables = light_tables(resolved, frame, options, echo_progress)
+    times = tables.times.num_rows
+    typer.echo(f"{times:,} time{'s' * (times != 1)}, {tables.organs.num_rows:,} rows of organs")
+    for path in write_light(tables, out, form):
+        typer.echo(path)

@@ -1,4 +1,4 @@
-"""The command `tune`: fit a recipe to patches of measured colour."""
+"""Commands that fit a recipe to measured colour: `tune` to patches, `calibrate` to photographs of a chart."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import json as json_text
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from pepperscene.calibration.options import CalibrationOptions
 from pepperscene.cli.application import JsonOption, LabelOptions, RecipeArgument, SetOption, command
 from pepperscene.cli.progress import echo_progress
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.options import Option
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from pepperscene.recipe.recipe import Recipe
     from pepperscene.tuning.bounds import Parameter
     from pepperscene.tuning.workflow import TuningResult
-
 
 _HELP: Final = "help"
 
@@ -230,3 +230,45 @@ def _progress_callback(quiet: bool) -> Iterator[Callable[[str], None] | None]:
 
 def _split_names(names: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in names.split(",") if name.strip())
+
+
+@command
+def calibrate(
+    photographs: Annotated[
+        list[Path],
+        typer.Argument(metavar="CHART...", help="Photographs of a ColorChecker Classic or a grey card."),
+    ],
+    *,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Recipe to write, such as camera.toml.")],
+    options: CalibrationOptions,
+    corners: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,X,Y,X,Y,X,Y",
+            help="Outer corners of the chart's four corner fields, in pixels. Default: found automatically.",
+        ),
+    ] = None,
+    grey_card: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,W,H", help="Rectangle on a grey card, in pixels, instead of a chart."),
+    ] = None,
+) -> None:
+    """Write the recipe with which frames look like a camera's photographs of a ColorChecker."""
+    given = replace(options, corners=_numbers(corners, "corners"), grey_card=_numbers(grey_card, "grey_card"))
+    from pepperscene.calibration.run import calibrate as calibrate_camera
+    from pepperscene.calibration.write import calibration_values
+
+    calibration = calibrate_camera(photographs, out, given)
+    for name, value in calibration_values(calibration):
+        typer.echo(f"{name}: {value}")
+    for path in calibration.files:
+        typer.echo(path)
+
+
+def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ArgumentError(option, f"must be numbers separated by commas, not {text!r}") from None

@@ -24,7 +24,7 @@ from pepperscene.dataset.store.dataset import MARK, Dataset
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.export.job import ExportJob, write_table
-from pepperscene.export.surface import MILLIMETRES, RangeImage, read_label, read_surface
+from pepperscene.export.surface import MILLIMETRES, RangeImage, depth_png, read_label, read_surface
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
@@ -220,7 +220,7 @@ def _write_scene(place: Path, frames: Iterable[DatasetFrame], models: _Models) -
         _check_camera(frame, surface.camera)
         fruit, key = list(frame.fruit.values()), str(frame.index)
         (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
-        (place / "depth" / f"{frame.name}.png").write_bytes(surface.depth_png())
+        (place / "depth" / f"{frame.name}.png").write_bytes(depth_png(surface.depth_z, surface.depth_unit_m))
         tables["scene_camera"][key] = _camera_record(surface)
         tables["scene_gt"][key] = [_pose_record(frame, entry, models) for entry in fruit]
         tables["scene_gt_info"][key] = _write_masks(place, frame, surface, fruit)

@@ -28,8 +28,7 @@ from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.recorded_values import fruit_name, recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.export.formats import FORMATS, ExportFormat
-from pepperscene.export.image_options import ImageOptions, parse_foreground
-from pepperscene.export.job import ExportJob, OnFrame
+from pepperscene.export.job import ExportJob, ImageOptions, OnFrame, parse_foreground
 from pepperscene.libraries import import_library
 from pepperscene.recipe.plan import Plan
 from pepperscene.shipped import is_file, shipped_folder

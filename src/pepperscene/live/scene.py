@@ -22,9 +22,8 @@ from pepperscene.geometry import Mesh
 from pepperscene.live import arguments
 from pepperscene.live.objects import SceneFruit, SceneList, SceneOrgan, scene_fruit, scene_organs
 from pepperscene.live.queries import nearest_surface, touched_instances
-from pepperscene.live.renderers import StateRenderers
+from pepperscene.live.renderers import StateRenderers, ViewSetup, ViewSetups
 from pepperscene.live.state import FarPlants, SceneState, open_state
-from pepperscene.live.view_setups import ViewSetup, ViewSetups
 from pepperscene.materials import Surface, greenhouse_surfaces
 from pepperscene.outputs import check_outputs, needs_surfaces
 from pepperscene.recipe.plan import FrameSpec, frame_seed

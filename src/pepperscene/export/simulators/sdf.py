@@ -17,8 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import Instance
-from pepperscene.export.simulators.bodies import FRUIT_DENSITY, fruit_hull, is_rigid
-from pepperscene.export.simulators.contents import HarvestBody, Pose, SceneContents, join_instances
+from pepperscene.export.simulators.contents import (
+    FRUIT_DENSITY,
+    HarvestBody,
+    Pose,
+    SceneContents,
+    fruit_hull,
+    is_rigid,
+    join_instances,
+)
 from pepperscene.geometry.glb import encode_glb
 from pepperscene.geometry.organ_parts import OrganNodes, organ_parts, word
 

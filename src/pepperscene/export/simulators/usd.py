@@ -18,14 +18,16 @@ from numpy.typing import NDArray
 from pepperscene.camera.image.colorimetry import srgb_decode
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.store.images import png_bytes
-from pepperscene.export.simulators.bodies import (
+from pepperscene.export.simulators.contents import (
     BREAK_FORCE_N,
     BREAK_TORQUE_N_M,
+    HarvestBody,
+    Pose,
+    SceneContents,
     fruit_hull,
     fruit_mass_kg,
     is_rigid,
 )
-from pepperscene.export.simulators.contents import HarvestBody, Pose, SceneContents
 from pepperscene.geometry.glb import roughness
 from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.geometry.natural_colours import linear_colours
