@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from pepperscene.cli.application import JsonOption, LabelOptions, command, print_ruled_table
+from pepperscene.cli.application import JsonOption, LabelOptions, command, print_json, print_tables
 from pepperscene.cli.options import Only, parse_size
 from pepperscene.cli.progress import echo_progress, image_progress, training_progress
 from pepperscene.errors import ArgumentError, InputError, SetupError
@@ -115,16 +113,7 @@ def _is_given(context: typer.Context, name: str) -> bool:
 
 @dataclass(frozen=True)
 class ModelUse:
-    """How a trained model is applied.
-
-    Attributes:
-        factory: `module:factory` of a network that is none of this package.
-        allow_code: whether it may be called.
-        classes: text of the classes that the model's are merged to.
-        least_area: pixels of the smallest regions of fruit and peduncles that are kept.
-        grow: distance in pixels by which these regions are enlarged.
-        prior: shares of classes in the images, or images in which they are estimated.
-    """
+    """How a trained model is applied."""
 
     factory: Annotated[
         str | None,
@@ -254,13 +243,9 @@ def evaluate(
             result = evaluate_model(network, images, **options)
     files = None if out is None else write_evaluation(result, network, images, out)
     if json:
-        typer.echo(json_text.dumps(result.to_json(), indent=1, allow_nan=False))
+        print_json(result.to_json())
         return
-    if sys.stdout.isatty():
-        for text_table in result.tables():
-            print_ruled_table(text_table.heads, text_table.rows, text_table.title, text_table.notes)
-    else:
-        typer.echo(result.format())
+    print_tables(result.tables())
     if files is not None:
         typer.echo(f"\n{files.data}\n{files.page}")
 

@@ -13,9 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from pepperscene.calibration.options import CalibrationOptions
-from pepperscene.cli.application import JsonOption, LabelOptions, RecipeArgument, SetOption, command
+from pepperscene.cli.application import (
+    JsonOption,
+    LabelOptions,
+    RecipeArgument,
+    SetOption,
+    command,
+    print_json,
+    print_paths,
+)
+from pepperscene.cli.options import parse_numbers
 from pepperscene.cli.progress import echo_progress
-from pepperscene.errors import ArgumentError, InputError
+from pepperscene.errors import InputError
 from pepperscene.options import Option
 
 if TYPE_CHECKING:
@@ -119,7 +128,7 @@ def tune(
         error.add_note("nothing was written")
         raise
     if json:
-        typer.echo(json_text.dumps(_result_record(result), indent=1, allow_nan=False))
+        print_json(_result_record(result))
     else:
         _print_result(result)
 
@@ -207,8 +216,7 @@ def _print_result(result: TuningResult) -> None:
     for line in dict.fromkeys((*result.fit.diagnostics, *result.fit.undetermined)):
         typer.echo(line)
     typer.echo()
-    for path in result.files:
-        typer.echo(path)
+    print_paths(result.files)
 
 
 @contextmanager
@@ -254,21 +262,12 @@ def calibrate(
     ] = None,
 ) -> None:
     """Write the recipe with which frames look like a camera's photographs of a ColorChecker."""
-    given = replace(options, corners=_numbers(corners, "corners"), grey_card=_numbers(grey_card, "grey_card"))
+    texts = {"corners": corners, "grey_card": grey_card}
+    given = {name: None if text is None else parse_numbers(text, name) for name, text in texts.items()}
     from pepperscene.calibration.run import calibrate as calibrate_camera
     from pepperscene.calibration.write import calibration_values
 
-    calibration = calibrate_camera(photographs, out, given)
+    calibration = calibrate_camera(photographs, out, replace(options, **given))
     for name, value in calibration_values(calibration):
         typer.echo(f"{name}: {value}")
-    for path in calibration.files:
-        typer.echo(path)
-
-
-def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise ArgumentError(option, f"must be numbers separated by commas, not {text!r}") from None
+    print_paths(calibration.files)
