@@ -262,12 +262,15 @@ def calibrate(
     ] = None,
 ) -> None:
     """Write the recipe with which frames look like a camera's photographs of a ColorChecker."""
-    texts = {"corners": corners, "grey_card": grey_card}
-    given = {name: None if text is None else parse_numbers(text, name) for name, text in texts.items()}
+    options = replace(
+        options,
+        corners=None if corners is None else parse_numbers(corners, "corners"),
+        grey_card=None if grey_card is None else parse_numbers(grey_card, "grey_card"),
+    )
     from pepperscene.calibration.run import calibrate as calibrate_camera
     from pepperscene.calibration.write import calibration_values
 
-    calibration = calibrate_camera(photographs, out, replace(options, **given))
+    calibration = calibrate_camera(photographs, out, options)
     for name, value in calibration_values(calibration):
         typer.echo(f"{name}: {value}")
     print_paths(calibration.files)
