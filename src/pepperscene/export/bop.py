@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera
@@ -22,13 +21,13 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.dataset import MARK, Dataset
 from pepperscene.dataset.store.images import png_bytes
+from pepperscene.dataset.store.recorded_values import recorded_recipe
 from pepperscene.errors import InputError
 from pepperscene.export.job import ExportJob, write_table
 from pepperscene.export.surface import MILLIMETRES, RangeImage, depth_png, read_label, read_surface
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
-from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.truth.encodings import decode_rle
 from pepperscene.version import __version__
 
@@ -182,12 +181,10 @@ def _restored_recipe(dataset: Dataset) -> Recipe:
     if info["version"] != __version__:
         problem = f"the plants cannot be grown again: version {__version__} may grow others"
         raise InputError(where, problem, key="version", value=info["version"])
-    content = {key: value for key, value in info["recipe"].items() if key != "variation"}
     try:
-        recipe = Recipe.model_validate_json(json.dumps(content))
-        recipe = recipe.with_variation(read_variation(info["recipe"]))
+        recipe = recorded_recipe(info)
         identity = resolve_recipe(recipe).identity
-    except (InputError, ValidationError, ValueError) as error:
+    except (InputError, ValueError) as error:
         detail = error.detail if isinstance(error, InputError) else "its values are not valid"
         problem = f"the plants cannot be grown again: {detail}"
         raise InputError(where, problem, key="recipe") from None
