@@ -46,8 +46,6 @@ _COLUMNS: Final = (
     "length_m",
     "diameter_m",
 )
-_NO_BOX: Final = (-1, -1, -1, -1)
-
 
 _MODEL_AXES: Final = np.diag([1.0, -1.0, -1.0])
 """From fruit to model axes, a half turn about x: the model's z points to the stalk, up as the fruit hangs."""
@@ -275,7 +273,7 @@ def _box(mask: NDArray[np.bool_]) -> list[int]:
     """Left, top, width and height of a mask, as BOP has them; -1 for an empty one."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
-        return list(_NO_BOX)
+        return [-1] * 4
     return [
         int(columns[0]), int(rows[0]), int(columns[-1] - columns[0] + 1), int(rows[-1] - rows[0] + 1),
     ]  # fmt: skip

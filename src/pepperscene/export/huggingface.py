@@ -28,14 +28,12 @@ from pepperscene.export.columns import (
     variation_columns,
     yaml_feature,
 )
-from pepperscene.export.job import ExportJob
+from pepperscene.export.job import SAMPLE_OUTPUTS, ExportJob
 from pepperscene.user_files import read_file
 
 SHARD_BYTES: Final = 500_000_000
 """As `datasets` itself writes them (its default of `max_shard_size`)."""
 
-_REQUIRED: Final = ("colour", "class")
-_OPTIONAL: Final = ("instance", "distance", "harvest")
 _ROWS: Final = 16
 """Chosen: a group of rows, the least that a reader fetches, takes some tens of megabytes."""
 
@@ -69,7 +67,7 @@ def write_huggingface(job: ExportJob, folder: Path) -> None:
     `datasets.load_dataset(folder)` reads it. Instance, distance and harvest become columns if all frames
     have them.
     """
-    outputs = (*_REQUIRED, *job.common_outputs(_OPTIONAL))
+    outputs = job.common_outputs(SAMPLE_OUTPUTS)
     height, width = DatasetFrame(job.dataset, min(job.split_of)).image("class").shape
     columns = (*frame_columns(outputs, (height, width)), *variation_columns(job.dataset.info))
     (folder / "data").mkdir()

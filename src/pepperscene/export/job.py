@@ -122,6 +122,10 @@ class ExportJob:
         )
 
 
+SAMPLE_OUTPUTS: Final = ("colour", "class", "instance", "distance", "harvest")
+"""What samples for loaders contain, as far as all frames have it."""
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write JSON for people to read; raises `ValueError` for numbers that are not finite."""
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

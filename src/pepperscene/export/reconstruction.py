@@ -272,13 +272,9 @@ def write_colmap(job: ExportJob, folder: Path) -> None:
     """
     for place, indices, frames in open_groups(job, folder, scene_groups(job)):
         _write_scene(job, place, seed_points(job, indices), frames)
-        _write_splits(place, scene_splits(job, indices))
-
-
-def _write_splits(place: Path, splits: Mapping[str, Sequence[int]]) -> None:
-    for split, members in splits.items():
-        text = "".join(f"{index:06d}.png\n" for index in members)
-        (place / f"{split}_list.txt").write_text(text, encoding="utf-8")
+        for split, members in scene_splits(job, indices).items():
+            text = "".join(f"{index:06d}.png\n" for index in members)
+            (place / f"{split}_list.txt").write_text(text, encoding="utf-8")
 
 
 def _write_scene(job: ExportJob, place: Path, seeds: SeedPoints, frames: Iterable[DatasetFrame]) -> None:
