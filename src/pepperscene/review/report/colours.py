@@ -123,15 +123,12 @@ def png_data_uri(
 
 
 def shortened(
-    text_of: Callable[[int], str],
-    shape: Sequence[int],
-    max_length: int | None,
-    max_size_px: int = _MAX_SIZE_PX,
+    text_of: Callable[[int], str], shape: Sequence[int], max_length: int | None, max_px: int = _MAX_SIZE_PX
 ) -> str:
-    """The text of every n-th row and column of an image `(h, w, ...)` of labels.
+    """The text `text_of(n)` of every n-th row and column of labels with this shape `(h, w, ...)`.
 
-    They are as many as possible such that the longer side has at most `max_size_px`, and the text at most
-    `max_length` characters, but no fewer than 64.
+    n is the least with which the longer side has at most `max_px` pixels, and the text at most `max_length`
+    characters; but no side is reduced below 64 pixels for the latter.
     """
     longest = max(shape[:2])
     step = -(-longest // max_px)
