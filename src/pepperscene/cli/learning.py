@@ -106,7 +106,6 @@ def train(
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
-    """Whether an option is on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 

@@ -68,11 +68,7 @@ _DRAWN: Final = "drawn"
 
 
 def variation_columns(info: Mapping[str, Any]) -> tuple[Column, ...]:
-    """The columns of moments, twins, rig cameras and drawn values; only those that the recipe has.
-
-    Args:
-        info: the content of `dataset.json`.
-    """
+    """The columns of moments, twins, rig cameras and drawn values that the recipe of a `dataset.json` has."""
     names = drawn_columns(info)
     columns = [
         Column(name, feature, meaning, _metadata_column(name))

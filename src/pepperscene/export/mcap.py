@@ -157,7 +157,6 @@ class _Bag:
         self._times: list[int] = []
 
     def write(self, topic: str, message: Message, time_ns: int) -> None:
-        """Add a message."""
         kind = TOPICS[topic]
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_msgdef(kind, definition(kind))
@@ -167,7 +166,6 @@ class _Bag:
         self._times.append(time_ns)
 
     def finish(self) -> None:
-        """Write the index at the end."""
         self._writer.finish()
 
     def metadata(self) -> str:

@@ -181,7 +181,6 @@ def _check_options(options: Mapping[str, Any], export_format: ExportFormat) -> N
 
 
 def _check_frame_rate(frame_rate_hz: float | None, export_format: ExportFormat) -> None:
-    """Raise `ArgumentError` if a frame rate is not valid or does not apply to a format."""
     low, high = _FRAME_RATES
     if frame_rate_hz is not None and not export_format.has_clock:
         raise ArgumentError("frame_rate", f"does not apply: frames of {export_format.name} have no times")

@@ -256,13 +256,7 @@ def _write_layout(job: ExportJob, folder: Path, label_lines: LabelLines, keys: S
     """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
 
     The format has no ignored pixels: if frames can have some, `ignore/train/000110.png` is 255 there and 0
-    elsewhere, for training and evaluation code that reads it.
-
-    Args:
-        job: the frames and the selection of their objects.
-        folder: to write into.
-        label_lines: makes the lines of a label file.
-        keys: further lines of `data.yaml`.
+    elsewhere, for training and evaluation code that reads it. `keys` are further lines of `data.yaml`.
     """
     data = _data_yaml(list(job.splits), job.selection, keys)
     (folder / "data.yaml").write_text(data, encoding="utf-8")

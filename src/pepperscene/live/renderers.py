@@ -146,13 +146,7 @@ class ViewSetup:
 
 
 class ViewSetups:
-    """The views of a frame's scene.
-
-    Args:
-        frames: of the recipe.
-        spec: the frame.
-        renderers: of its scene, for views that depend on it.
-    """
+    """The views of a frame's scene, whose renderers views need that depend on it."""
 
     def __init__(self, frames: FrameRenderer, spec: FrameSpec, renderers: StateRenderers) -> None:
         self._frames, self._spec, self._renderers = frames, spec, renderers
@@ -200,7 +194,6 @@ class ViewSetups:
         return {self.camera(ViewSetup(spec)).pose.tobytes(): spec for spec in (*alike, own)}
 
     def _own_view(self, spec: FrameSpec) -> View:
-        """The view of a frame."""
         if not self._frames.views.depends_on_scene:
             return self._frames.views.view(spec)
         held = self._renderers.of_frames(traced=False)

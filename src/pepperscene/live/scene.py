@@ -166,7 +166,6 @@ class LiveScene:
         return frames[0] if pose is None or np.ndim(pose) == 2 else frames
 
     def _render(self, setup: ViewSetup, outputs: tuple[str, ...], quality: Quality) -> Frame:
-        """Render one view."""
         held, state, traced = None, self._state, needs_surfaces(outputs)
         if setup.is_frame and not self._edited:
             # Light in a scene that is culled for the data set differs by less than can be seen, but differs.

@@ -48,11 +48,6 @@ def write_model(contents: SceneContents, folder: Path, name: str) -> tuple[str, 
     What stands is one link, with a visual for each plant and class. What falls when a fruit is cut is a link
     of its own, on a joint that a message to the topic `/model/NAME/LINK/detach` removes.
 
-    Args:
-        contents: of the scene.
-        folder: of the model.
-        name: of the model.
-
     Returns:
         Names of the files, `model.sdf` first.
     """

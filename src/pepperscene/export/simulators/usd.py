@@ -52,11 +52,7 @@ _PROPERTY: Final = "userProperties:"
 
 
 def usd_files(contents: SceneContents, name: str) -> dict[str, bytes]:
-    """Encode a scene as a USD file, and its images.
-
-    Args:
-        contents: of the scene.
-        name: of the file; `.usda` is text, other suffixes are binary.
+    """Encode a scene as a USD file of this name, and its images; `.usda` is text, other suffixes are binary.
 
     Returns:
         Content by file name, that of `name` first.
@@ -77,17 +73,11 @@ def usd_files(contents: SceneContents, name: str) -> dict[str, bytes]:
 
 @dataclass(eq=False)
 class _Stage:
-    """A stage that is being filled.
-
-    Attributes:
-        contents: of the scene.
-        images: file name of each image of the colours.
-        paths: of the prims of nodes.
-    """
+    """A stage that is being filled."""
 
     contents: SceneContents
-    images: Mapping[str, str]
-    paths: dict[int, str] = field(default_factory=dict)
+    images: Mapping[str, str]  # file name of each image of the colours
+    paths: dict[int, str] = field(default_factory=dict)  # of the prims of nodes
 
     def __post_init__(self) -> None:
         self.pxr = import_library("pxr", "usd")
@@ -97,7 +87,6 @@ class _Stage:
         self.stage = self.pxr.Usd.Stage.CreateInMemory()
 
     def write(self) -> None:
-        """Write everything."""
         pxr, contents = self.pxr, self.contents
         pxr.UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
         pxr.UsdGeom.SetStageUpAxis(self.stage, pxr.UsdGeom.Tokens.z)

@@ -82,13 +82,7 @@ def row_geometry(setup: FrameSetup, set_index: int) -> RowGeometry:
 
 
 def draw_plan(name: str, rows: RowGeometry, places: CameraPlaces) -> bytes:
-    """Draw a scene's camera places; returns the content of a PNG file.
-
-    Args:
-        name: of the recipe.
-        rows: of the scene.
-        places: of its cameras.
-    """
+    """Draw the camera places of a scene of the recipe with this name; returns the content of a PNG file."""
     import matplotlib
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator

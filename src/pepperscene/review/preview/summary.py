@@ -115,12 +115,7 @@ class PlanSummary:
 
 
 def summarise_plan(resolved: ResolvedRecipe, indices: Sequence[int]) -> PlanSummary:
-    """Collect what a plan contains; nothing is grown or rendered.
-
-    Args:
-        resolved: the recipe with its files.
-        indices: selected frames, ascending.
-    """
+    """Collect what a plan with selected frames, ascending, contains; nothing is grown or rendered."""
     recipe, plan = resolved.recipe, resolved.recipe.plan
     frames = FrameCount(
         sets=plan.sets,

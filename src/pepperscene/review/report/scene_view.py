@@ -152,9 +152,7 @@ def organ_triangles(
 ) -> tuple[dict[str, dict[str, list[int]]], int, int]:
     """The triangles of simplified plants, those nearest to some points first until they are too many.
 
-    Args:
-        mesh: of a row.
-        centres: `(n, 3)` metres.
+    The points are `(n, 3)` in metres.
 
     Returns:
         By class id, `positions`: x, y and z of each vertex in millimetres, and `faces`: three vertices of
