@@ -87,7 +87,8 @@ class SceneContents:
         children: dict[int, list[int]] = {}
         for index, item in enumerate(self.mesh.instances):
             children.setdefault(item.parent, []).append(index)
-        node_of = {number: index for index, number in enumerate(self._first_numbers)}
+        numbers = [entry.get("instance", 0) for entry in self.nodes.extras]
+        node_of = {number: index for index, number in enumerate(numbers)}
         bodies, cut = [], set[int]()
         for index, truth in self.truths.items():
             stalk, pose, members = truth.stalk, truth.pose, [index]
@@ -103,10 +104,6 @@ class SceneContents:
                     members += children.get(member, [])
             bodies.append(HarvestBody(index, tuple(members), pose, self.mesh.instances[index].plant))
         return tuple(bodies)
-
-    @property
-    def _first_numbers(self) -> list[int]:
-        return [entry.get("instance", 0) for entry in self.nodes.extras]
 
     def to_json(self) -> dict[str, Any]:
         """The content without its triangles."""
