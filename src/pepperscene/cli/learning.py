@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pepperscene.cli.application import JsonOption, LabelOptions, command, print_json, print_tables
 from pepperscene.cli.options import Only, parse_size
-from pepperscene.cli.progress import echo_progress, image_progress, training_progress
+from pepperscene.cli.progress import Throttle, echo_progress, image_progress, training_progress
 from pepperscene.errors import ArgumentError, InputError, SetupError
-from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.learning.class_table import ClassTable, parse_shares
 from pepperscene.learning.options import (
     DECIDED_SCORE,
@@ -30,8 +28,6 @@ if TYPE_CHECKING:
     from pepperscene.learning.evaluation.detection import DetectionEvaluation
     from pepperscene.learning.evaluation.evaluation import Evaluation
     from pepperscene.learning.models.trained_model import TrainedModel
-
-_INTERVAL_S: Final = 5.0  # chosen: seconds between lines that are frequent
 
 SetsArgument = Annotated[
     list[Path], typer.Argument(metavar="SET...", help="Folders of labelled images, in any layout.")
@@ -335,15 +331,11 @@ def experiments(
 
 def _message_printer() -> Callable[[str, bool], None]:
     """Function that prints messages to standard error, frequent ones every few seconds."""
-    last = float("-inf")
+    throttle = Throttle()
 
     def show(text: str, is_frequent: bool) -> None:
-        nonlocal last
-        raise_if_interrupted()
-        now = time.monotonic()
-        if not is_frequent or now - last >= _INTERVAL_S:
+        if throttle.allows(not is_frequent):
             echo_progress(text)
-            last = now
 
     return show
 

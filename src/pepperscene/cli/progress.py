@@ -52,9 +52,13 @@ class Throttle:
 
     def is_due(self, done: int, total: int) -> bool:
         """Whether to print a line now."""
+        return self.allows(total <= _EVERY_LINE or done == total)
+
+    def allows(self, always: bool) -> bool:
+        """Whether to print a line that is `always` printed, or else only some time after the last one."""
         raise_if_interrupted()
         now = time.monotonic()
-        due = total <= _EVERY_LINE or done == total or now - self._last >= _INTERVAL_S
+        due = always or now - self._last >= _INTERVAL_S
         self._last = now if due else self._last
         return due
 
