@@ -76,7 +76,7 @@ def recorded_recipe(info: Mapping[str, Any]) -> Recipe:
         InputError, ValueError: a value is not valid.
     """
     tables = {key: value for key, value in info["recipe"].items() if key != "variation"}
-    recipe = Recipe.model_validate_json(json.dumps(tables))
+    recipe = Recipe.model_validate_json(json.dumps(tables, allow_nan=False))
     if DATE in recipe.twins:
         dates = tuple(date.fromisoformat(str(value)) for value in recipe.twins[DATE])
         recipe = recipe.model_copy(update={"twins": {**recipe.twins, DATE: dates}})
