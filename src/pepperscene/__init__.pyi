@@ -117,7 +117,7 @@ from .render.viewpoints.planners import compare_planners as compare_planners
 from .review.check import CheckResult as CheckResult
 from .review.check import check_dataset as check_dataset
 from .review.report import write_report as write_report
-from .review.report.index_picture import index_picture as index_picture
+from .review.report.image_view import index_picture as index_picture
 from .scene import Scene as Scene
 from .scene import Sky as Sky
 from .scene import Twine as Twine

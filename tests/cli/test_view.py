@@ -70,9 +70,7 @@ def test_rerun_gets_the_recordings_of_the_frames(folder, monkeypatch, command):
         (["--program", "rerun"], "pepperscene[rerun]"),
     ],
 )
-def test_wrong_options_are_one_sentence(folder, arguments, message, opened, monkeypatch, command):
+def test_wrong_options_are_one_sentence(folder, arguments, message, opened, monkeypatch, rejects):
     has_rerun(monkeypatch, installed=False)
-    result = command("view", folder, *arguments)
-    assert result.exit_code == 2
-    assert message in result.stderr
+    rejects(message, "view", folder, *arguments)
     assert not opened

@@ -23,8 +23,8 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.variation.notation import parse_varied
 from pepperscene.recipe.variation.recorded import read_variation, recorded_draws
 from pepperscene.review.check import check_dataset
-from pepperscene.review.check.notes import exposure_notes, unlikely_draws
 from pepperscene.review.check.one_frame import FrameTraits
+from pepperscene.review.check.run import exposure_notes, unlikely_draws
 from pepperscene.review.report import write_report
 
 TIMINGS = ("render_s", "write_s", "worker")

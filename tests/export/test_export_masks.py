@@ -12,7 +12,7 @@ from traced_set import RADIUS_M, SPHERE, make_traced_set
 
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.export import export_dataset
-from pepperscene.export.image_options import parse_foreground
+from pepperscene.export.job import parse_foreground
 
 PLANTS = {1, 2, 3, 4, 5, 7}
 CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))

@@ -19,8 +19,7 @@ from pepperscene.building.execution.job import BuildOptions
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.errors import ArgumentError, InputError, SetupError
 from pepperscene.export import export_dataset
-from pepperscene.export.mcap import BAG, CAMERA, TOPICS
-from pepperscene.export.ros_messages import definition
+from pepperscene.export.mcap import BAG, CAMERA, TOPICS, definition
 from pepperscene.recipe.resolve.load import load_recipe
 
 MODELS = {"rational": "rational_polynomial", "fisheye": "equidistant"}

@@ -15,8 +15,8 @@ from pepperscene.dataset.store.images import read_image
 from pepperscene.outputs import OUTPUTS
 from pepperscene.recipe.tables import ExpectTable
 from pepperscene.review.check import check_dataset
-from pepperscene.review.check.notes import outlier_scenes
 from pepperscene.review.check.one_frame import FrameTraits
+from pepperscene.review.check.run import outlier_scenes
 from pepperscene.review.check.whole_set import check_expectations
 from pepperscene.truth.encodings import encode_rle
 

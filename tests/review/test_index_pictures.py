@@ -9,7 +9,7 @@ import pytest
 from pepperscene.camera.sensor.indices import spectral_index
 from pepperscene.dataset.readers.image_set import LabelledImage
 from pepperscene.errors import ArgumentError, InputError
-from pepperscene.review.report.index_picture import available_indices, index_picture
+from pepperscene.review.report.image_view import available_indices, index_picture
 
 BANDS_NM = (475.0, 560.0, 668.0, 717.0, 842.0)
 METADATA = {"camera": {"bands": [{"name": "", "centre_nm": nm, "width_nm": 10.0} for nm in BANDS_NM]}}

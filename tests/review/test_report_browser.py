@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from chromium import Browser, find_chromium
+from chromium import find_chromium
 from data_sets import RandomImages, set_without_plants
 from hostile_set import FILE_NAME, TEXT, make_hostile, make_photographs, make_plain_set
 from stand_in import PYTHONPATH, SceneStandIn
@@ -27,13 +26,6 @@ SIZE = (120, 160)
 FRAME_COUNT = 40
 SHOWN = 3
 PANELS = ("colour", "class", "instance", "distance")
-
-RECORD_VIOLATIONS = """
-window.violations = [];
-addEventListener("securitypolicyviolation", event =>
-  window.violations.push(event.effectiveDirective + " " + event.blockedURI));
-"""
-"""Script that runs before a page: what its content security policy blocks."""
 
 
 class BandRenderer(SceneStandIn):
@@ -71,33 +63,13 @@ def page(tmp_path_factory):
     return write_report(folder, SHOWN, RandomImages(name="photographs", items=(0, 1))).page
 
 
-@pytest.fixture(scope="module")
-def started(tmp_path_factory):
-    browser = Browser(tmp_path_factory.mktemp("profile"))
-    browser.call("Page.addScriptToEvaluateOnNewDocument", source=RECORD_VIOLATIONS)
-    yield browser
-    browser.close()
-
-
 @pytest.fixture
 def browser(started, page):
     """A browser with the page, which must make no requests, errors or log entries."""
     started.open(page)
     started.wait_until("document.body.dataset.labelled === 'true'")
     yield started
-    assert_quiet(started, page)
-
-
-def assert_quiet(browser, page):
-    """The page has requested nothing but itself, and neither errors, log entries nor blocked content."""
-    urls = {
-        unquote(event["request"]["url"].partition(",")[0])
-        for event in browser.events("Network.requestWillBeSent")
-    }
-    assert {url for url in urls if not url.startswith("data:")} == {f"file://{page.resolve()}"}
-    for method in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
-        assert browser.events(method) == []
-    assert browser.run("window.violations") == []
+    started.assert_quiet(page)
 
 
 def dialog(browser):
@@ -239,4 +211,4 @@ def test_no_script_of_a_hostile_data_set_runs(started, hostile_page):
     started.wait_until("location.hash !== '' && document.getElementById(location.hash.slice(1)) !== null")
     assert started.run("document.querySelector('h1').textContent") == TEXT
     assert started.run("typeof window.attacked") == "undefined"
-    assert_quiet(started, hostile_page)
+    started.assert_quiet(hostile_page)

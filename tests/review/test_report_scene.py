@@ -31,7 +31,7 @@ from pepperscene.review.report.scene_view import (
     MissingSceneError,
     grow_row,
     organ_triangles,
-    recorded_recipe,
+    resolve_recorded,
     three_js,
 )
 from pepperscene.shipped import shipped_folder
@@ -178,7 +178,7 @@ def test_shipped_recipes_are_the_same_from_their_data_sets(name):
     resolved = resolve_recipe(name)
     content = {"recipe_sha256": digest(dict(resolved.identity)), **resolved.identity}
     info = json.loads(json.dumps({"version": __version__, **content}))
-    again = recorded_recipe(info)
+    again = resolve_recorded(info)
     assert again.identity == resolved.identity
     for index in (0, resolved.recipe.plan.count - 1):
         spec = resolved.recipe.plan.frame(index)
@@ -192,7 +192,7 @@ def test_drawn_dates_are_a_reason():
         json.dumps({"version": __version__, "recipe_sha256": digest(dict(identity)), **identity})
     )
     with pytest.raises(MissingSceneError, match="draws dates"):
-        recorded_recipe(info)
+        resolve_recorded(info)
 
 
 def test_nearest_plants_are_kept_where_they_are_many(grown_recipe, monkeypatch):

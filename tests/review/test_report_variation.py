@@ -21,7 +21,7 @@ from pepperscene.recipe.variation.varied import as_json, draw_values
 from pepperscene.review.report import write_report
 from pepperscene.review.report.data import DrawnRecords, Moments, frame_records
 from pepperscene.review.report.page import render
-from pepperscene.review.report.variation import VARIATION_HEADS, variation_tables
+from pepperscene.review.report.sections import VARIATION_HEADS, variation_tables
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from urllib.parse import unquote
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 TIMEOUT_S = 60.0
@@ -19,6 +20,13 @@ TIMEOUT_S = 60.0
 KEY_CODES = {"Tab": 9, "Enter": 13, "Escape": 27, "Home": 36, "+": 187} | {
     f"Arrow{direction}": 37 + number for number, direction in enumerate(("Left", "Up", "Right", "Down"))
 }
+
+RECORD_VIOLATIONS = """
+window.violations = [];
+addEventListener("securitypolicyviolation", event =>
+  window.violations.push(event.effectiveDirective + " " + event.blockedURI));
+"""
+"""Script that runs before a page: what its content security policy blocks."""
 
 # The browser reads commands from file descriptor 3 and answers on 4.
 _LAUNCH = (
@@ -68,6 +76,7 @@ class Browser:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=RECORD_VIOLATIONS)
 
     def close(self) -> None:
         """End the browser."""
@@ -114,6 +123,16 @@ class Browser:
     def events(self, method: str) -> list[dict]:
         """The events of a kind since the page was opened."""
         return [event["params"] for event in self._events if event.get("method") == method]
+
+    def assert_quiet(self, page: Path, allowed: tuple[str, ...] = ()) -> None:
+        """The page has requested only itself, without errors, blocked content and further log entries."""
+        urls = (event["request"]["url"] for event in self.events("Network.requestWillBeSent"))
+        requested = {unquote(url.partition(",")[0]) for url in urls if not url.startswith("data:")}
+        assert requested == {f"file://{page.resolve()}"}
+        assert self.events("Runtime.exceptionThrown") == self.events("Runtime.consoleAPICalled") == []
+        entries = [event["entry"] for event in self.events("Log.entryAdded")]
+        assert [entry for entry in entries if entry["source"] not in allowed] == []
+        assert self.run("window.violations") == []
 
     def run(self, script: str):
         """The value of a JavaScript expression; promises are awaited."""

@@ -6,10 +6,8 @@ plus the number of the signal that interrupted the command.
 
 from pepperscene.cli import (
     building,
-    calibration,
     datasets,
     learning,
-    light,
     machine,
     tasks,
     tuning,
@@ -20,10 +18,8 @@ from pepperscene.cli.application import app, main
 __all__ = [
     "app",
     "building",
-    "calibration",
     "datasets",
     "learning",
-    "light",
     "machine",
     "main",
     "tasks",

@@ -6,6 +6,7 @@ import codecs
 import errno
 import functools
 import io
+import json
 import os
 import signal
 import sys
@@ -13,11 +14,11 @@ import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, NoReturn, ParamSpec, TextIO, TypeVar, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NoReturn, ParamSpec, TextIO, TypeVar, final
 
 import typer
 
-from pepperscene.cli.options import expand_options
+from pepperscene.cli.options import OPTION_NAMES, expand_options
 from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import (
     EXIT_BAD_INPUT,
@@ -31,6 +32,9 @@ from pepperscene.interrupts import Interrupted, interruptible, raise_if_interrup
 from pepperscene.options import Option
 from pepperscene.outputs import DEFAULT_OUTPUTS, OUTPUTS, check_outputs
 from pepperscene.version import __version__
+
+if TYPE_CHECKING:
+    from pepperscene.colour.comparison.tables import TextTable
 
 EXIT_NO_READER: Final = 141
 """As shells report a process that was ended by SIGPIPE."""
@@ -138,17 +142,6 @@ def main() -> NoReturn:
     sys.exit(0)
 
 
-_OPTIONS: Final = {
-    "changes": "set",
-    "form": "format",
-    "least_visible": "min_visibility",
-    "names": "fit",
-    "picture": "drawing",
-    "ripe_from": "ripe",
-    "smallest_px": "smallest",
-}
-"""Names of options that differ from the argument that they set."""
-
 _CONFIGURATIONS: Final = {"matplotlibrc": "Matplotlib", ".numba_config.yaml": "Numba"}
 """Files that libraries read in the current folder. They can name programs that charts start (TeX), and a
 folder of compiled code that is loaded."""
@@ -172,7 +165,7 @@ def handle_errors(command: Callable[P, R]) -> Callable[P, R]:
             except PepperError as error:
                 message = str(error)
                 if isinstance(error, ArgumentError):
-                    option = _OPTIONS.get(error.where, error.where).replace("_", "-")
+                    option = OPTION_NAMES.get(error.where, error.where).replace("_", "-")
                     message = f"--{option}: {error.detail}"
                 echo_progress(f"error: {' '.join(message.split())}")
                 raise typer.Exit(EXIT_BAD_INPUT) from None
@@ -295,6 +288,28 @@ def print_ruled_table(
     console.print(table)
     for note in notes:
         console.print(Text(note))
+
+
+def print_tables(tables: Sequence[TextTable]) -> None:
+    """Print tables with rules on a terminal, as plain text elsewhere."""
+    from pepperscene.colour import format_tables
+
+    if not sys.stdout.isatty():
+        typer.echo(format_tables(tables))
+        return
+    for table in tables:
+        print_ruled_table(table.heads, table.rows, table.title, table.notes)
+
+
+def print_json(content: Any) -> None:
+    """Print the complete result of a command."""
+    typer.echo(json.dumps(content, indent=1, allow_nan=False))
+
+
+def print_paths(paths: Iterable[Path]) -> None:
+    """Print the files that a command has written."""
+    for path in paths:
+        typer.echo(path)
 
 
 def parse_outputs(outputs: str) -> tuple[str, ...]:

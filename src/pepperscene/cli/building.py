@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pepperscene.building.execution.options import BuildOptions
+from pepperscene.building.scenes.light_options import LightOptions
 from pepperscene.cli.application import (
     DEFAULTS,
     CodeOption,
@@ -20,6 +21,7 @@ from pepperscene.cli.application import (
     SetOption,
     command,
     parse_outputs,
+    print_paths,
 )
 from pepperscene.cli.options import Only
 from pepperscene.cli.progress import echo_note, echo_progress
@@ -33,14 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a build describes instead of building.
-
-    Attributes:
-        dry_run: whether it does.
-        drawing: PNG file or folder for a drawing of the camera places.
-        poses: file or folder for poses.
-        probe: whether to render a frame for the estimate.
-    """
+    """What a build describes instead of building."""
 
     dry_run: Annotated[
         bool, Option("Only describe the build: frames, cameras, time, memory and disk space.")
@@ -156,8 +151,7 @@ def _describe_build(
         typer.echo(line)
     for warning in preview.summary.warnings:
         echo_note(warning)
-    for path in preview.files:
-        typer.echo(path)
+    print_paths(preview.files)
 
 
 @command
@@ -179,8 +173,7 @@ def render(
     resolved = resolve_recipe(recipe, parse_changes(set or ()), allow_code=options.allow_code)
     with render_status() as on_stage:
         paths = render_frame(resolved, out, frame, names, options, on_stage)
-    for path in paths:
-        typer.echo(path)
+    print_paths(paths)
 
 
 @command
@@ -204,8 +197,7 @@ def scene(
     resolved = resolve_recipe(recipe, parse_changes(set or ()), seed, allow_code=allow_code)
     with render_status() as on_stage:
         paths = export_scene(resolved, out, frame, on_stage=on_stage)
-    for path in paths:
-        typer.echo(path)
+    print_paths(paths)
 
 
 @command
@@ -263,8 +255,7 @@ def plant(
         f"  {contacts.fruit_touching} of {contacts.fruit} fruit still touch another organ, "
         f"{contacts.blades_touching} of {contacts.blades} blades a stem"
     )
-    for path in result.files:
-        typer.echo(path)
+    print_paths(result.files)
 
 
 @command
@@ -290,8 +281,7 @@ def traits(
     tables = plant_traits(resolve_recipe(recipe, parse_changes(set or ()), seed), frame, echo_progress)
     plants, leaves, fruit = (table.num_rows for table in (tables.plants, tables.leaves, tables.fruit))
     typer.echo(f"{plants:,} plants, {leaves:,} leaves, {fruit:,} fruit")
-    for path in write_traits(tables, out, form):
-        typer.echo(path)
+    print_paths(write_traits(tables, out, form))
 
 
 @command
@@ -307,3 +297,27 @@ def cultivars() -> None:
         typer.echo(
             f"{name:<{max(map(len, names))}}  {model.name}, {model.species}: {model.stem.parts} nodes{date}"
         )
+
+
+@command
+def light(
+    *,
+    out: TablesOption,
+    recipe: RecipeArgument = "demo",
+    frame: FrameOption = None,
+    options: LightOptions,
+    form: TableFormatOption = "parquet",
+    seed: SeedOption = None,
+    set: SetOption = None,
+) -> None:
+    """Write the light that each organ, plant, layer and row absorbs as tables, at a moment or over a day."""
+    from pepperscene.building.scenes.light_tables import LIGHT_TABLES, light_tables, write_light
+    from pepperscene.building.scenes.trait_tables import check_tables_output
+    from pepperscene.recipe.resolve.load import parse_changes, resolve_recipe
+
+    check_tables_output(LIGHT_TABLES, out, form)
+    resolved = resolve_recipe(recipe, parse_changes(set or ()), seed)
+    tables = light_tables(resolved, frame, options, echo_progress)
+    times = tables.times.num_rows
+    typer.echo(f"{times:,} time{'s' * (times != 1)}, {tables.organs.num_rows:,} rows of organs")
+    print_paths(write_light(tables, out, form))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
 import subprocess
 import sys
 import tempfile
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -21,9 +20,11 @@ from pepperscene.cli.application import (
     JsonOption,
     LabelOptions,
     command,
+    print_json,
     print_ruled_table,
+    print_tables,
 )
-from pepperscene.cli.progress import check_progress, echo_measured, echo_progress, export_progress
+from pepperscene.cli.progress import check_progress, echo_measured, echo_note, echo_progress, export_progress
 from pepperscene.errors import InputError, OutputError, SetupError
 from pepperscene.export.formats import FORMATS
 from pepperscene.options import Option
@@ -55,7 +56,7 @@ def check(
     with check_progress() as on_frame:
         result = check_dataset(folder, workers, on_frame, frames)
     if json:
-        typer.echo(json_text.dumps(result.to_json(), indent=1, allow_nan=False))
+        print_json(result.to_json())
     else:
         _print_result(result, folder, rows)
     if not result.passed:
@@ -66,7 +67,7 @@ def _print_result(result: CheckResult, folder: Path, limit: int) -> None:
     """Print one line if the data set is valid, else a table, most serious faults first."""
     frames = f"{result.frames:,} frame{'' if result.frames == 1 else 's'}"
     for note in result.notes:
-        echo_progress(f"note: {note}")
+        echo_note(note)
     if result.passed:
         typer.echo(f"{folder}: {frames}, no faults")
         return
@@ -100,7 +101,7 @@ def _print_table(rows: list[tuple[str, str, str, str]]) -> None:
 
 @dataclass(frozen=True)
 class ExportSelection:
-    """The frames and objects that an export has."""
+    """The frames and objects that an export has; the names are those of arguments of `export_dataset`."""
 
     split: Annotated[
         str | None,
@@ -111,7 +112,7 @@ class ExportSelection:
         ),
     ] = None
     frames: Annotated[str | None, Option("Frames A to B - 1, counted from 0. Default: all.", "A:B")] = None
-    smallest: Annotated[
+    smallest_px: Annotated[
         int | None, Option("Minimum visible pixels of an object. Default: yolo formats 12, others 1.", "N")
     ] = None
     classes: Annotated[
@@ -122,10 +123,10 @@ class ExportSelection:
             "TEXT",
         ),
     ] = None
-    min_visibility: Annotated[
+    least_visible: Annotated[
         float | None, Option("Minimum visible fraction of a fruit (needs harvest).", "F")
     ] = None
-    ripe: Annotated[
+    ripe_from: Annotated[
         float | None,
         Option(
             "Ripeness from which fruit is ripe (needs harvest); divides the class pepper. Default: 0.5 for "
@@ -133,7 +134,7 @@ class ExportSelection:
             "F",
         ),
     ] = None
-    frame_rate: Annotated[
+    frame_rate_hz: Annotated[
         float | None,
         Option("Frames per second of mcap. Default: the speed of the recipe's path, else 1.", "HZ"),
     ] = None
@@ -144,16 +145,6 @@ class ExportSelection:
     ] = None
     alpha: Annotated[bool, Option("Add the share of the foreground to pictures as a fourth channel.")] = False
     undistort: Annotated[bool, Option("Resample images to those of a pinhole camera.")] = False
-
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of `export_dataset`."""
-        names = {
-            "smallest": "smallest_px",
-            "min_visibility": "least_visible",
-            "ripe": "ripe_from",
-            "frame_rate": "frame_rate_hz",
-        }
-        return {names.get(name, name): value for name, value in vars(self).items()}
 
 
 @command
@@ -174,7 +165,7 @@ def export(
     from pepperscene.export import export_dataset
 
     with export_progress() as on_frame:
-        result = export_dataset(folder, form, out, on_frame=on_frame, **selection.arguments())
+        result = export_dataset(folder, form, out, on_frame=on_frame, **vars(selection))
     parts = ", ".join(f"{count} {name}" for name, count in result.splits.items())
     typer.echo(f"{result.frames} frame{'' if result.frames == 1 else 's'} as {form} ({parts}): {out}")
     for warning in result.warnings:
@@ -210,7 +201,7 @@ def report(
         f"  {written.sheet}\n  {written.page}"
     )
     if written.missing_scene:
-        echo_progress(f"note: the page has no 3D view: {written.missing_scene}")
+        echo_note(f"the page has no 3D view: {written.missing_scene}")
 
 
 @dataclass(frozen=True)
@@ -251,7 +242,7 @@ def compare(
     json: JsonOption = False,
 ) -> None:
     """Compare two image sets. Measures colour, saturation, texture, class fractions, positions and light."""
-    from pepperscene.colour import comparison_figure, comparison_json, comparison_tables, format_tables
+    from pepperscene.colour import comparison_figure, comparison_json, comparison_tables
     from pepperscene.colour.comparison.compare import compare as compare_sets
     from pepperscene.colour.comparison.compare import open_two_sets
 
@@ -263,12 +254,9 @@ def compare(
         *sets, limit=scale.limit, width_px=scale.width, pixel_mm=pixel_mm, on_progress=echo_measured
     )
     if json:
-        typer.echo(json_text.dumps(comparison_json(comparison), indent=1, allow_nan=False))
-    elif sys.stdout.isatty():
-        for table in comparison_tables(comparison):
-            print_ruled_table(table.heads, table.rows, table.title, table.notes)
+        print_json(comparison_json(comparison))
     else:
-        typer.echo(format_tables(comparison_tables(comparison)))
+        print_tables(comparison_tables(comparison))
     if figure is not None:
         _write_figure(figure, comparison_figure(comparison, figure.suffix.lower()[1:]))
 
@@ -334,7 +322,7 @@ def _view_in_browser(folder: Path) -> None:
     opened = webbrowser.open(page.absolute().as_uri())
     typer.echo(page)
     if not opened:
-        echo_progress("note: no browser was found; open the page in one")
+        echo_note("no browser was found; open the page in one")
 
 
 def _view_in_rerun(folder: Path, frames: str | None) -> None:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json as json_text
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pepperscene.cli.application import JsonOption, LabelOptions, command, print_ruled_table
+from pepperscene.cli.application import JsonOption, LabelOptions, command, print_json, print_tables
 from pepperscene.cli.options import Only, parse_size
-from pepperscene.cli.progress import echo_progress, image_progress, training_progress
+from pepperscene.cli.progress import Throttle, echo_progress, image_progress, training_progress
 from pepperscene.errors import ArgumentError, InputError, SetupError
-from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.learning.class_table import ClassTable, parse_shares
 from pepperscene.learning.options import (
     DECIDED_SCORE,
@@ -32,8 +28,6 @@ if TYPE_CHECKING:
     from pepperscene.learning.evaluation.detection import DetectionEvaluation
     from pepperscene.learning.evaluation.evaluation import Evaluation
     from pepperscene.learning.models.trained_model import TrainedModel
-
-_INTERVAL_S: Final = 5.0  # chosen: seconds between lines that are frequent
 
 SetsArgument = Annotated[
     list[Path], typer.Argument(metavar="SET...", help="Folders of labelled images, in any layout.")
@@ -108,23 +102,13 @@ def train(
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
-    """Whether an option is on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
 
 @dataclass(frozen=True)
 class ModelUse:
-    """How a trained model is applied.
-
-    Attributes:
-        factory: `module:factory` of a network that is none of this package.
-        allow_code: whether it may be called.
-        classes: text of the classes that the model's are merged to.
-        least_area: pixels of the smallest regions of fruit and peduncles that are kept.
-        grow: distance in pixels by which these regions are enlarged.
-        prior: shares of classes in the images, or images in which they are estimated.
-    """
+    """How a trained model is applied."""
 
     factory: Annotated[
         str | None,
@@ -254,13 +238,9 @@ def evaluate(
             result = evaluate_model(network, images, **options)
     files = None if out is None else write_evaluation(result, network, images, out)
     if json:
-        typer.echo(json_text.dumps(result.to_json(), indent=1, allow_nan=False))
+        print_json(result.to_json())
         return
-    if sys.stdout.isatty():
-        for text_table in result.tables():
-            print_ruled_table(text_table.heads, text_table.rows, text_table.title, text_table.notes)
-    else:
-        typer.echo(result.format())
+    print_tables(result.tables())
     if files is not None:
         typer.echo(f"\n{files.data}\n{files.page}")
 
@@ -351,15 +331,11 @@ def experiments(
 
 def _message_printer() -> Callable[[str, bool], None]:
     """Function that prints messages to standard error, frequent ones every few seconds."""
-    last = float("-inf")
+    throttle = Throttle()
 
     def show(text: str, is_frequent: bool) -> None:
-        nonlocal last
-        raise_if_interrupted()
-        now = time.monotonic()
-        if not is_frequent or now - last >= _INTERVAL_S:
+        if throttle.allows(not is_frequent):
             echo_progress(text)
-            last = now
 
     return show
 

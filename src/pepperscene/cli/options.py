@@ -7,12 +7,24 @@ import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Final, get_args, get_origin
 
 import typer
 
-from pepperscene.errors import InputError
+from pepperscene.errors import ArgumentError, InputError
 from pepperscene.options import NestedOptions, Option, declarations
+
+OPTION_NAMES: Final = {
+    "changes": "set",
+    "form": "format",
+    "frame_rate_hz": "frame_rate",
+    "least_visible": "min_visibility",
+    "names": "fit",
+    "picture": "drawing",
+    "ripe_from": "ripe",
+    "smallest_px": "smallest",
+}
+"""Names of options that differ from the argument that they set."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +85,7 @@ class _Group:
                 self._groups[name] = _Group(kind, declaration)
                 self._order.append(self._groups[name])
                 continue
-            option_name = nested.names.get(name, name)
+            option_name = nested.names.get(name, OPTION_NAMES.get(name, name))
             option = declaration
             if name in nested.help:
                 option = replace(option, help=nested.help[name], shows_default=True)
@@ -124,6 +136,18 @@ def _parameter(name: str, kind: Any, option: Option, default: Any) -> inspect.Pa
         default=inspect.Parameter.empty if default is MISSING else default,
         annotation=Annotated[kind, info],
     )
+
+
+def parse_numbers(text: str, option: str, count: int | None = None) -> tuple[float, ...]:
+    """Numbers of an option, with commas between them; of any number if `count` is None."""
+    try:
+        values = tuple(map(float, text.split(",")))
+    except ValueError:
+        values = ()
+    if not values or count not in (None, len(values)):
+        wanted = "numbers" if count is None else f"{count} numbers"
+        raise ArgumentError(option, f"must be {wanted} separated by commas, not {text!r}")
+    return values
 
 
 def parse_size(text: str, option: str = "--size") -> tuple[int, int]:

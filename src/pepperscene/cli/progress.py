@@ -52,9 +52,13 @@ class Throttle:
 
     def is_due(self, done: int, total: int) -> bool:
         """Whether to print a line now."""
+        return self.allows(total <= _EVERY_LINE or done == total)
+
+    def allows(self, always: bool) -> bool:
+        """Whether to print a line that is `always` printed, or else only some time after the last one."""
         raise_if_interrupted()
         now = time.monotonic()
-        due = total <= _EVERY_LINE or done == total or now - self._last >= _INTERVAL_S
+        due = always or now - self._last >= _INTERVAL_S
         self._last = now if due else self._last
         return due
 
@@ -164,29 +168,23 @@ def render_status() -> Iterator[Callable[[str], None]]:
 @contextmanager
 def check_progress() -> Iterator[Callable[[int, int], None] | None]:
     """Callback for each checked frame: a bar on a terminal, None elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    with _simple_bar("checking", transient=True) as (bar, task):
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    with _bar("checking", transient=True) as update:
+        yield update
 
 
 @contextmanager
 def export_progress() -> Iterator[Callable[[int, int, int], None]]:
     """Callback for each exported frame: a bar on a terminal, lines elsewhere."""
-    if sys.stderr.isatty():
-        with _simple_bar("exporting", transient=False) as (bar, task):
-            yield lambda index, done, total: bar.update(
-                task, completed=done, total=total, description=f"frame {index:06d}"
-            )
-        return
     throttle = Throttle()
+    with _bar("exporting") as update:
 
-    def print_line(index: int, done: int, total: int) -> None:
-        if throttle.is_due(done, total):
-            echo_progress(f"frame {index:06d} ({done} of {total})")
+        def show(index: int, done: int, total: int) -> None:
+            if update is not None:
+                update(done, total, description=f"frame {index:06d}")
+            elif throttle.is_due(done, total):
+                echo_progress(f"frame {index:06d} ({done} of {total})")
 
-    yield print_line
+        yield show
 
 
 @contextmanager
@@ -197,26 +195,28 @@ def image_progress(verb: str, noun: str = "images") -> Iterator[Callable[[int, i
         verb: what is done with an image, as a participle ("evaluated").
         noun: what is done, if not images.
     """
-    if sys.stderr.isatty():
-        with _simple_bar(verb, transient=True) as (bar, task):
-            yield lambda done, total: bar.update(task, completed=done, total=total)
-        return
     throttle = Throttle()
 
     def print_line(done: int, total: int) -> None:
         if total > _EVERY_LINE and throttle.is_due(done, total):
             echo_progress(f"{done:,} of {total:,} {noun} {verb}")
 
-    yield print_line
+    with _bar(verb, transient=True) as update:
+        yield update or print_line
 
 
 @contextmanager
-def _simple_bar(description: str, *, transient: bool) -> Iterator[tuple[Progress, TaskID]]:
+def _bar(description: str, *, transient: bool = False) -> Iterator[Callable[..., None] | None]:
+    """Callback that updates a bar to a number of so many; None where there is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
     from rich.console import Console
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=transient) as bar:
-        yield bar, bar.add_task(description, total=None)
+        task = bar.add_task(description, total=None)
+        yield lambda done, total, **fields: bar.update(task, completed=done, total=total, **fields)
 
 
 # --- training -----------------------------------------------------------------------------------------------

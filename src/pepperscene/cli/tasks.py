@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import typer
 
-from pepperscene.cli.application import JsonOption, command, print_ruled_table
+from pepperscene.cli.application import JsonOption, command, print_json, print_tables
 from pepperscene.cli.progress import echo_progress, image_progress
 from pepperscene.errors import ArgumentError, InputError
 from pepperscene.options import Option
@@ -105,19 +103,9 @@ def task(
         raise InputError("task", f"must be one of {', '.join(_TASKS)}, not {name!r}")
     result = _TASKS[name](source, options)
     if json:
-        typer.echo(json_text.dumps(result.to_json(), indent=1, allow_nan=False))
-        return
-    _print(result)
-
-
-def _print(result: TaskResult) -> None:
-    from pepperscene.colour.comparison.tables import format_tables
-
-    table = result.table()
-    if sys.stdout.isatty():
-        print_ruled_table(table.heads, table.rows, table.title, table.notes)
+        print_json(result.to_json())
     else:
-        typer.echo(format_tables([table]))
+        print_tables([result.table()])
 
 
 def _depth(source: str, options: TaskOptions) -> TaskResult:

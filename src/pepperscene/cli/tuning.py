@@ -1,4 +1,4 @@
-"""The command `tune`: fit a recipe to patches of measured colour."""
+"""Commands that fit a recipe to measured colour: `tune` to patches, `calibrate` to photographs of a chart."""
 
 from __future__ import annotations
 
@@ -6,13 +6,23 @@ import json as json_text
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from pepperscene.cli.application import JsonOption, LabelOptions, RecipeArgument, SetOption, command
+from pepperscene.calibration.options import CalibrationOptions
+from pepperscene.cli.application import (
+    JsonOption,
+    LabelOptions,
+    RecipeArgument,
+    SetOption,
+    command,
+    print_json,
+    print_paths,
+)
+from pepperscene.cli.options import parse_numbers
 from pepperscene.cli.progress import echo_progress
 from pepperscene.errors import InputError
 from pepperscene.options import Option
@@ -22,7 +32,6 @@ if TYPE_CHECKING:
     from pepperscene.recipe.recipe import Recipe
     from pepperscene.tuning.bounds import Parameter
     from pepperscene.tuning.workflow import TuningResult
-
 
 _HELP: Final = "help"
 
@@ -119,7 +128,7 @@ def tune(
         error.add_note("nothing was written")
         raise
     if json:
-        typer.echo(json_text.dumps(_result_record(result), indent=1, allow_nan=False))
+        print_json(_result_record(result))
     else:
         _print_result(result)
 
@@ -207,8 +216,7 @@ def _print_result(result: TuningResult) -> None:
     for line in dict.fromkeys((*result.fit.diagnostics, *result.fit.undetermined)):
         typer.echo(line)
     typer.echo()
-    for path in result.files:
-        typer.echo(path)
+    print_paths(result.files)
 
 
 @contextmanager
@@ -230,3 +238,39 @@ def _progress_callback(quiet: bool) -> Iterator[Callable[[str], None] | None]:
 
 def _split_names(names: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in names.split(",") if name.strip())
+
+
+@command
+def calibrate(
+    photographs: Annotated[
+        list[Path],
+        typer.Argument(metavar="CHART...", help="Photographs of a ColorChecker Classic or a grey card."),
+    ],
+    *,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Recipe to write, such as camera.toml.")],
+    options: CalibrationOptions,
+    corners: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,X,Y,X,Y,X,Y",
+            help="Outer corners of the chart's four corner fields, in pixels. Default: found automatically.",
+        ),
+    ] = None,
+    grey_card: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,W,H", help="Rectangle on a grey card, in pixels, instead of a chart."),
+    ] = None,
+) -> None:
+    """Write the recipe with which frames look like a camera's photographs of a ColorChecker."""
+    options = replace(
+        options,
+        corners=None if corners is None else parse_numbers(corners, "corners"),
+        grey_card=None if grey_card is None else parse_numbers(grey_card, "grey_card"),
+    )
+    from pepperscene.calibration.run import calibrate as calibrate_camera
+    from pepperscene.calibration.write import calibration_values
+
+    calibration = calibrate_camera(photographs, out, options)
+    for name, value in calibration_values(calibration):
+        typer.echo(f"{name}: {value}")
+    print_paths(calibration.files)

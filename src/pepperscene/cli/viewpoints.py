@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pepperscene.cli.application import CodeOption, RecipeArgument, SeedOption, SetOption, command
+from pepperscene.cli.options import parse_numbers
 from pepperscene.cli.progress import echo_progress, image_progress
 from pepperscene.errors import ArgumentError
 from pepperscene.options import Option
@@ -106,7 +107,7 @@ def parse_box(text: str) -> BoxWorkspace:
     """The workspace of a text "X0,X1,Y0,Y1,Z0,Z1" in millimetres."""
     from pepperscene.recipe.views.workspace import BoxWorkspace
 
-    x0, x1, y0, y1, z0, z1 = _metres(text, "box", 6)
+    x0, x1, y0, y1, z0, z1 = (value / 1e3 for value in parse_numbers(text, "box", 6))
     return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
 
 
@@ -118,20 +119,9 @@ def _workspace(box: str | None, sphere: str | None) -> Workspace | None:
     if box is not None:
         return parse_box(box)
     if sphere is not None:
-        x, y, z, radius = _metres(sphere, "sphere", 4)
+        x, y, z, radius = (value / 1e3 for value in parse_numbers(sphere, "sphere", 4))
         return SphereWorkspace((x, y, z), radius)
     return None
-
-
-def _metres(text: str, option: str, count: int) -> list[float]:
-    """Numbers of an option in millimetres."""
-    try:
-        values = [float(part) / 1e3 for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise ArgumentError(option, f"must be {count} numbers separated by commas, not {text!r}")
-    return values
 
 
 def _describe(scene: SceneVisibility) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
-from pepperscene.classes import RIPE_FROM, OrganClass, parse_class_mapping
+from pepperscene.classes import CLASS_COLOURS, RIPE_FROM, OrganClass, parse_class_mapping
 from pepperscene.errors import ArgumentError
 
 Parts = frozenset[int]
@@ -56,6 +56,12 @@ class Category:
         """The names of its parts, as in a mapping of classes."""
         hidden = _DIVIDED if self.parts >= FRUIT else ("pepper",)
         return [name for name, parts in _PARTS.items() if parts <= self.parts and name not in hidden]
+
+    @property
+    def colour(self) -> list[int]:
+        """The class colour; half of it for unripe fruit, so that no two categories have the same colour."""
+        colour = CLASS_COLOURS[self.organ_class]
+        return [value // 2 for value in colour] if self.is_unripe else list(colour)
 
     @property
     def is_unripe(self) -> bool:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from pepperscene.building.scenes.frame_renderer import FrameRenderer
 from pepperscene.camera import Camera
@@ -22,13 +21,13 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.dataset import MARK, Dataset
 from pepperscene.dataset.store.images import png_bytes
+from pepperscene.dataset.store.recorded_values import recorded_recipe
 from pepperscene.errors import InputError
 from pepperscene.export.job import ExportJob, write_table
-from pepperscene.export.surface import MILLIMETRES, RangeImage, read_label, read_surface
+from pepperscene.export.surface import MILLIMETRES, RangeImage, depth_png, read_label, read_surface
 from pepperscene.recipe.plan import Plan
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.resolve.load import resolve_recipe
-from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.truth.encodings import decode_rle
 from pepperscene.version import __version__
 
@@ -47,8 +46,6 @@ _COLUMNS: Final = (
     "length_m",
     "diameter_m",
 )
-_NO_BOX: Final = (-1, -1, -1, -1)
-
 
 _MODEL_AXES: Final = np.diag([1.0, -1.0, -1.0])
 """From fruit to model axes, a half turn about x: the model's z points to the stalk, up as the fruit hangs."""
@@ -182,12 +179,10 @@ def _restored_recipe(dataset: Dataset) -> Recipe:
     if info["version"] != __version__:
         problem = f"the plants cannot be grown again: version {__version__} may grow others"
         raise InputError(where, problem, key="version", value=info["version"])
-    content = {key: value for key, value in info["recipe"].items() if key != "variation"}
     try:
-        recipe = Recipe.model_validate_json(json.dumps(content))
-        recipe = recipe.with_variation(read_variation(info["recipe"]))
+        recipe = recorded_recipe(info)
         identity = resolve_recipe(recipe).identity
-    except (InputError, ValidationError, ValueError) as error:
+    except (InputError, ValueError) as error:
         detail = error.detail if isinstance(error, InputError) else "its values are not valid"
         problem = f"the plants cannot be grown again: {detail}"
         raise InputError(where, problem, key="recipe") from None
@@ -220,7 +215,7 @@ def _write_scene(place: Path, frames: Iterable[DatasetFrame], models: _Models) -
         _check_camera(frame, surface.camera)
         fruit, key = list(frame.fruit.values()), str(frame.index)
         (place / "rgb" / f"{frame.name}.png").write_bytes(frame.content("colour"))
-        (place / "depth" / f"{frame.name}.png").write_bytes(surface.depth_png())
+        (place / "depth" / f"{frame.name}.png").write_bytes(depth_png(surface.depth_z, surface.depth_unit_m))
         tables["scene_camera"][key] = _camera_record(surface)
         tables["scene_gt"][key] = [_pose_record(frame, entry, models) for entry in fruit]
         tables["scene_gt_info"][key] = _write_masks(place, frame, surface, fruit)
@@ -278,7 +273,7 @@ def _box(mask: NDArray[np.bool_]) -> list[int]:
     """Left, top, width and height of a mask, as BOP has them; -1 for an empty one."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
-        return list(_NO_BOX)
+        return [-1] * 4
     return [
         int(columns[0]), int(rows[0]), int(columns[-1] - columns[0] + 1), int(rows[-1] - rows[0] + 1),
     ]  # fmt: skip

@@ -15,7 +15,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pepperscene.classes import CLASS_COLOURS, OrganClass
+from pepperscene.classes import OrganClass
 from pepperscene.dataset.dataset_frame import IGNORED, REST, DatasetFrame
 from pepperscene.dataset.selection import Category, Selection
 from pepperscene.dataset.store.images import png_bytes
@@ -61,7 +61,7 @@ def write_coco(job: ExportJob, folder: Path) -> None:
         {
             **_category_record(category, crop),
             "isthing": int(category is not background),
-            "color": _panoptic_colour(category),
+            "color": category.colour,
         }
         for category in (background, *job.selection.categories)
     ]
@@ -132,12 +132,6 @@ def _category_record(category: Category, crop: str) -> dict[str, Any]:
     return {"id": category.id, "name": category.name, "supercategory": crop}
 
 
-def _panoptic_colour(category: Category) -> list[int]:
-    """The class colour; half of it for unripe fruit, so that no two categories have the same colour."""
-    colour = CLASS_COLOURS[category.organ_class]
-    return [value // 2 for value in colour] if category.is_unripe else list(colour)
-
-
 def _image_record(frame: DatasetFrame, shape: tuple[int, ...]) -> dict[str, Any]:
     height, width = shape
     return {
@@ -168,15 +162,7 @@ def _instance_records(
             continue
         if segment.organ_class == OrganClass.BACKGROUND:
             continue
-        record: dict[str, Any] = {
-            "id": _annotation_id(frame.index, segment.id),
-            "image_id": frame.index,
-            "category_id": segment.categories[0].id,
-            "iscrowd": 0,
-            "area": segment.area,
-            "bbox": segment.box,
-            "segmentation": segment.mask,
-        }
+        record = _record(frame, segment, segment.categories[0], segment.id)
         if entry := segment.entry:
             # The parent is the annotation of the organ that this one grows out of.
             parent = _annotation_id(frame.index, entry["parent"]) if entry["parent"] in visible else None
@@ -194,19 +180,24 @@ def _instance_records(
     return records
 
 
+def _record(frame: DatasetFrame, segment: Segment, category: Category, number: int) -> dict[str, Any]:
+    """What all annotations have; a `number` above those of instances is that of a crowd."""
+    return {
+        "id": _annotation_id(frame.index, number),
+        "image_id": frame.index,
+        "category_id": category.id,
+        "iscrowd": int(number >= REST),
+        "area": segment.area,
+        "bbox": segment.box,
+        "segmentation": segment.mask,
+    }
+
+
 def _crowd_records(frame: DatasetFrame, segment: Segment, harvest: bool) -> list[dict[str, Any]]:
     """A crowd annotation in each category that the rest of a class, or the ignored pixels, can have."""
     return [
-        {
-            "id": _annotation_id(frame.index, _crowd_id(segment, category)),
-            "image_id": frame.index,
-            "category_id": category.id,
-            "iscrowd": 1,
-            "area": segment.area,
-            "bbox": segment.box,
-            "segmentation": segment.mask,
-            **(_keypoints({}, (1, 1)) if harvest and category.has_fruit else {}),
-        }
+        _record(frame, segment, category, _crowd_id(segment, category))
+        | (_keypoints({}, (1, 1)) if harvest and category.has_fruit else {})
         for category in segment.categories
     ]
 

@@ -68,14 +68,10 @@ _DRAWN: Final = "drawn"
 
 
 def variation_columns(info: Mapping[str, Any]) -> tuple[Column, ...]:
-    """The columns of moments, twins, rig cameras and drawn values; only those that the recipe has.
-
-    Args:
-        info: the content of `dataset.json`.
-    """
+    """The columns of moments, twins, rig cameras and drawn values that the recipe of a `dataset.json` has."""
     names = drawn_columns(info)
     columns = [
-        Column(name, feature, meaning, _optional_column(name))
+        Column(name, feature, meaning, _metadata_column(name))
         for name, (feature, meaning) in _VARIATION.items()
         if name in names
     ]
@@ -187,10 +183,6 @@ def _distance_values(frame: DatasetFrame, shape: tuple[int, int]) -> NDArray[np.
 
 
 def _metadata_column(key: str) -> Callable[[DatasetFrame], Any]:
-    return lambda frame: frame.metadata[key]
-
-
-def _optional_column(key: str) -> Callable[[DatasetFrame], Any]:
     return lambda frame: frame.metadata.get(key)
 
 

@@ -28,14 +28,12 @@ from pepperscene.export.columns import (
     variation_columns,
     yaml_feature,
 )
-from pepperscene.export.job import ExportJob
+from pepperscene.export.job import SAMPLE_OUTPUTS, ExportJob
 from pepperscene.user_files import read_file
 
 SHARD_BYTES: Final = 500_000_000
 """As `datasets` itself writes them (its default of `max_shard_size`)."""
 
-_REQUIRED: Final = ("colour", "class")
-_OPTIONAL: Final = ("instance", "distance", "harvest")
 _ROWS: Final = 16
 """Chosen: a group of rows, the least that a reader fetches, takes some tens of megabytes."""
 
@@ -69,7 +67,7 @@ def write_huggingface(job: ExportJob, folder: Path) -> None:
     `datasets.load_dataset(folder)` reads it. Instance, distance and harvest become columns if all frames
     have them.
     """
-    outputs = (*_REQUIRED, *job.common_outputs(_OPTIONAL))
+    outputs = job.common_outputs(SAMPLE_OUTPUTS)
     height, width = DatasetFrame(job.dataset, min(job.split_of)).image("class").shape
     columns = (*frame_columns(outputs, (height, width)), *variation_columns(job.dataset.info))
     (folder / "data").mkdir()
@@ -93,32 +91,22 @@ def _write_split(
     schema = pa.schema(fields, metadata={"huggingface": json.dumps({"info": {"features": features}})})
     # Neighbouring distances share their high bytes: split into bytes they shrink to half, as floats hardly.
     split_columns = [f"{name}.list.element.list.element" for name in features if name == "distance"]
+    options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": split_columns}
     paths: list[Path] = []
     rows = memory_bytes = 0
-    stream: Any = None
-    writer: Any = None
-    try:
-        while group := list(islice(frames, _ROWS)):
-            arrays = [
-                arrow_array(column.feature, [column.value(frame) for frame in group]) for column in columns
-            ]
-            table = pa.Table.from_arrays(arrays, schema=schema)
-            if writer is None:
-                paths.append(folder / f"{split}-{len(paths):05d}.parquet")
-                options = {"compression": "zstd", "use_dictionary": False}
-                # Arrow opens no file whose name is not UTF-8.
-                stream = paths[-1].open("wb")
-                writer = pq.ParquetWriter(stream, schema, use_byte_stream_split=split_columns, **options)
-            writer.write_table(table)
-            rows, memory_bytes = rows + len(group), memory_bytes + table.nbytes
-            if stream.tell() >= SHARD_BYTES:
-                writer.close()
-                stream.close()
-                writer = None
-    finally:
-        if writer is not None:
-            writer.close()
-            stream.close()
+    groups = iter(lambda: list(islice(frames, _ROWS)), [])
+    for first in groups:
+        group = first
+        paths.append(folder / f"{split}-{len(paths):05d}.parquet")
+        # Arrow opens no file whose name is not UTF-8.
+        with paths[-1].open("wb") as stream, pq.ParquetWriter(stream, schema, **options) as writer:
+            while group:
+                values = ([column.value(frame) for frame in group] for column in columns)
+                arrays = [arrow_array(one.feature, own) for one, own in zip(columns, values, strict=True)]
+                table = pa.Table.from_arrays(arrays, schema=schema)
+                writer.write_table(table)
+                rows, memory_bytes = rows + len(group), memory_bytes + table.nbytes
+                group = next(groups, []) if stream.tell() < SHARD_BYTES else []
     file_bytes = sum(path.stat().st_size for path in paths)
     for number, path in enumerate(paths):
         path.rename(folder / f"{split}-{number:05d}-of-{len(paths):05d}.parquet")

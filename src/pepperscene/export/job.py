@@ -9,14 +9,49 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from pepperscene.classes import PLANT_CLASSES, OrganClass, parse_class_mapping
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.selection import Selection
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import has_ignored_pixels
-from pepperscene.export.image_options import ImageOptions
+from pepperscene.errors import ArgumentError
 from pepperscene.recipe.plan import FrameSpec, Plan
+
+_PARTS: Final[dict[str, frozenset[int]]] = {
+    "plant": frozenset(map(int, PLANT_CLASSES)),
+    "fruit": frozenset({int(OrganClass.PEPPER)}),
+    **{organ.name.lower(): frozenset({int(organ)}) for organ in OrganClass if organ},
+}
+
+
+@dataclass(frozen=True)
+class ImageOptions:
+    """How images differ from those of the data set.
+
+    Attributes:
+        foreground: class ids of what masks and points have; None for all that is not ignored.
+        cut_out: class ids whose share of each pixel is a fourth channel of photographs; None for no such.
+        is_undistorted: whether images are those of a pinhole camera whose principal point is in the middle.
+    """
+
+    foreground: frozenset[int] | None = None
+    cut_out: frozenset[int] | None = None
+    is_undistorted: bool = False
+
+
+def parse_foreground(text: str) -> frozenset[int]:
+    """The class ids of "plant", "fruit", or classes such as "leaf+stem".
+
+    Raises:
+        ArgumentError: a name is unknown, or occurs twice.
+    """
+    if "=" in text:
+        raise ArgumentError("mask", f"{text!r} must be classes such as leaf+stem, without a name")
+    mapping = parse_class_mapping(text.replace("+", ","), _PARTS, "mask")
+    return frozenset[int]().union(*(_PARTS[name] for _, own in mapping for name in own))
+
 
 OnFrame = Callable[[int, int, int], None]
 """Called after every frame with its index, the number of frames done, and the number of all."""
@@ -31,7 +66,7 @@ class ExportJob:
     selection: Selection = Selection()  # noqa: RUF009 - it is frozen
     on_frame: OnFrame | None = None
     frame_rate_hz: float | None = None  # of formats with a clock; None for that of the views
-    images: ImageOptions = ImageOptions()  # noqa: RUF009 - it is frozen
+    images: ImageOptions = ImageOptions()
 
     @cached_property
     def plan(self) -> Plan:
@@ -85,6 +120,10 @@ class ExportJob:
             for output in outputs
             if all(self.dataset.path(index, output).is_file() for index in self.split_of)
         )
+
+
+SAMPLE_OUTPUTS: Final = ("colour", "class", "instance", "distance", "harvest")
+"""What samples for loaders contain, as far as all frames have it."""
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pepperscene.classes import CLASS_COLOURS, IGNORE_CLASS, OrganClass
+from pepperscene.classes import IGNORE_CLASS, OrganClass
 from pepperscene.dataset.dataset_frame import DatasetFrame, class_mask, mask_selection
 from pepperscene.dataset.readers.labels import LABEL_FILE
 from pepperscene.dataset.selection import Category, Selection
@@ -46,12 +46,11 @@ def write_semantic(job: ExportJob, folder: Path) -> None:
 
 
 def _class_record(number: int, category: Category) -> dict[str, object]:
-    colour = CLASS_COLOURS[category.organ_class]
     return {
         "value": number,
         "name": category.name,
         "members": category.members,
-        "colour": [value // 2 for value in colour] if category.is_unripe else list(colour),
+        "colour": category.colour,
     }
 
 

@@ -59,7 +59,6 @@ def write_rgbd_sensor(job: ExportJob, folder: Path) -> None:
 
 
 def _write_sequences(job: ExportJob, folder: Path, depth_of: DepthOf) -> None:
-    """Write all files."""
     for place, indices, frames in open_groups(job, folder, sequence_groups(job)):
         times = [STEP_S * job.plan.frame(index).step for index in indices]
         kinds = ["rgb"] if job.common_outputs(["colour"]) else []

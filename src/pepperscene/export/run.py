@@ -29,8 +29,7 @@ from pepperscene.dataset.store.fields import frame_indices, read_info
 from pepperscene.dataset.store.recorded_values import fruit_name, recorded_values
 from pepperscene.errors import ArgumentError, InputError, OutputError
 from pepperscene.export.formats import FORMATS, ExportFormat
-from pepperscene.export.image_options import ImageOptions, parse_foreground
-from pepperscene.export.job import ExportJob, OnFrame
+from pepperscene.export.job import ExportJob, ImageOptions, OnFrame, parse_foreground
 from pepperscene.libraries import import_library
 from pepperscene.recipe.plan import Plan
 from pepperscene.shipped import is_file, shipped_folder
@@ -183,7 +182,6 @@ def _check_options(options: Mapping[str, Any], export_format: ExportFormat) -> N
 
 
 def _check_frame_rate(frame_rate_hz: float | None, export_format: ExportFormat) -> None:
-    """Raise `ArgumentError` if a frame rate is not valid or does not apply to a format."""
     low, high = _FRAME_RATES
     if frame_rate_hz is not None and not export_format.has_clock:
         raise ArgumentError("frame_rate", f"does not apply: frames of {export_format.name} have no times")

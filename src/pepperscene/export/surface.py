@@ -16,11 +16,8 @@ from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.images import png_bytes
 from pepperscene.errors import InputError
 from pepperscene.export.formats import DEPTH_OUTPUTS
-from pepperscene.export.image_options import ImageOptions
+from pepperscene.export.job import ImageOptions
 from pepperscene.export.pinhole import PinholeImages
-
-SEED_POINTS: Final = 20_000
-"""Of a scene. Chosen: COLMAP finds some tens of thousands in a few hundred images."""
 
 _REACH_PX: Final = 5.0  # chosen: beyond, the nearest whole pixel is rarely of the same organ
 MILLIMETRES: Final = 1000.0  # per metre
@@ -69,10 +66,6 @@ class RangeImage(ImageGeometry):
         # Labels of a moving camera with a rolling shutter have the pose of each row.
         poses = camera.label_poses(np.arange(camera.height) + 0.5)[rows]
         return np.asarray(np.einsum("nij,nj->ni", poses[:, :3, :3], in_camera) + poses[:, :3, 3])
-
-    def depth_png(self) -> bytes:
-        """A PNG of 16 bits: depth along the optical axis as of `depth_png`."""
-        return depth_png(self.depth_z, self.depth_unit_m)
 
 
 def depth_png(depth_m: NDArray[np.floating[Any]], unit_m: float) -> bytes:

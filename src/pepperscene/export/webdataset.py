@@ -28,13 +28,11 @@ from pepperscene.atomic import canonical_json
 from pepperscene.dataset.dataset_frame import DatasetFrame
 from pepperscene.dataset.store.dataset import MARK
 from pepperscene.errors import InputError
-from pepperscene.export.job import ExportJob
+from pepperscene.export.job import SAMPLE_OUTPUTS, ExportJob
 
 SHARD_BYTES: Final = 1_000_000_000
 """Chosen: webdataset recommends shards of about a gigabyte, large enough to read sequentially."""
 
-_REQUIRED: Final = ("colour", "class")
-_OPTIONAL: Final = ("instance", "distance", "harvest")
 
 Sample = list[tuple[str, bytes]]
 """Names and contents of the members of a sample."""
@@ -52,7 +50,7 @@ def write_webdataset(job: ExportJob, folder: Path) -> None:
     are similar, and a stream is shuffled only within its buffer. Instance, distance and harvest are added if
     all frames have them.
     """
-    outputs = (*_REQUIRED, *job.common_outputs(_OPTIONAL))
+    outputs = job.common_outputs(SAMPLE_OUTPUTS)
     seed = int(job.dataset.info["recipe"]["seed"])
 
     def shuffle(indices: Sequence[int]) -> list[int]:

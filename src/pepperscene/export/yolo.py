@@ -76,7 +76,8 @@ def mask_polygons(mask: NDArray[np.bool_], smallest_px: int) -> list[Points]:
     """
     polygons = []
     pieces = sorted(_find_pieces(mask), key=lambda piece: -piece.pixels)
-    labels = _label_pieces(mask) if len(pieces) > 2 else None
+    is_crowded, cv2 = len(pieces) > 2, import_library("cv2")
+    labels = cv2.connectedComponents(mask.view(np.uint8))[1] if is_crowded else None
     while pieces:
         ring, pixels, pieces = _join_pieces(pieces, smallest_px, labels)
         if pixels >= smallest_px:
@@ -106,12 +107,6 @@ def _find_pieces(mask: NDArray[np.bool_]) -> list[Ring]:
             ring.attach(hole, point, hole_point)
         pieces.append(Ring(ring.points, ring.pixels - sum(hole.pixels for hole in holes), ring.attached))
     return pieces
-
-
-def _label_pieces(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """The number of the connected piece that each pixel belongs to, 0 outside the mask."""
-    labels: NDArray[np.int32] = import_library("cv2").connectedComponents(mask.view(np.uint8))[1]
-    return labels
 
 
 def _join_pieces(
@@ -261,13 +256,7 @@ def _write_layout(job: ExportJob, folder: Path, label_lines: LabelLines, keys: S
     """Write `images/train/000110.png`, `labels/train/000110.txt` and `data.yaml`.
 
     The format has no ignored pixels: if frames can have some, `ignore/train/000110.png` is 255 there and 0
-    elsewhere, for training and evaluation code that reads it.
-
-    Args:
-        job: the frames and the selection of their objects.
-        folder: to write into.
-        label_lines: makes the lines of a label file.
-        keys: further lines of `data.yaml`.
+    elsewhere, for training and evaluation code that reads it. `keys` are further lines of `data.yaml`.
     """
     data = _data_yaml(list(job.splits), job.selection, keys)
     (folder / "data.yaml").write_text(data, encoding="utf-8")

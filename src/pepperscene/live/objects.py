@@ -144,9 +144,7 @@ def _organ(index: int, item: Instance, pose: FloatArray, length_m: float) -> Sce
 def scene_fruit(truths: Iterable[FruitTruth], visible: Mapping[int, float] | None) -> SceneList[SceneFruit]:
     """The fruit of their truths.
 
-    Args:
-        truths: of the fruit.
-        visible: `visible_fraction` by number in instance images, of the fruit in view; None before a view.
+    `visible` is the `visible_fraction` of the fruit in view by number in instance images; None before a view.
     """
     return SceneList([_fruit(truth, visible) for truth in truths])
 

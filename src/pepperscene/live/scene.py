@@ -22,9 +22,8 @@ from pepperscene.geometry import Mesh
 from pepperscene.live import arguments
 from pepperscene.live.objects import SceneFruit, SceneList, SceneOrgan, scene_fruit, scene_organs
 from pepperscene.live.queries import nearest_surface, touched_instances
-from pepperscene.live.renderers import StateRenderers
+from pepperscene.live.renderers import StateRenderers, ViewSetup, ViewSetups
 from pepperscene.live.state import FarPlants, SceneState, open_state
-from pepperscene.live.view_setups import ViewSetup, ViewSetups
 from pepperscene.materials import Surface, greenhouse_surfaces
 from pepperscene.outputs import check_outputs, needs_surfaces
 from pepperscene.recipe.plan import FrameSpec, frame_seed
@@ -167,7 +166,6 @@ class LiveScene:
         return frames[0] if pose is None or np.ndim(pose) == 2 else frames
 
     def _render(self, setup: ViewSetup, outputs: tuple[str, ...], quality: Quality) -> Frame:
-        """Render one view."""
         held, state, traced = None, self._state, needs_surfaces(outputs)
         if setup.is_frame and not self._edited:
             # Light in a scene that is culled for the data set differs by less than can be seen, but differs.

@@ -141,20 +141,20 @@ class SceneState:
             present[list(group.meshes)] = True
         return present
 
-    def index(self, instance: object, argument: str = "instance") -> int:
+    def index(self, instance: object) -> int:
         """The index of an instance by its number in images.
 
         Raises:
             ArgumentError: it is no such number, or the instance is gone.
         """
         if not isinstance(instance, int | np.integer) or isinstance(instance, bool):
-            raise ArgumentError(argument, "must be a number of the instance image", value=instance)
+            raise ArgumentError("instance", "must be a number of the instance image", value=instance)
         if not 1 <= instance <= len(self.instances):
-            raise ArgumentError(argument, f"must be from 1 to {len(self.instances)}, not {instance}")
+            raise ArgumentError("instance", f"must be from 1 to {len(self.instances)}, not {instance}")
         index = int(instance) - 1
         if not self.present[index]:
             kind = self.instances[index].kind
-            raise ArgumentError(argument, f"{instance}, a {kind}, is not in the scene any more")
+            raise ArgumentError("instance", f"{instance}, a {kind}, is not in the scene any more")
         return index
 
     def branch(self, index: int) -> tuple[int, ...]:

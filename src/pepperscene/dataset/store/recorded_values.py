@@ -5,16 +5,22 @@ The argument `info` is the content of the file, which only the functions on crop
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
+from datetime import date
 from functools import lru_cache
 from typing import Any, Final
 
 from pepperscene.errors import InputError
 from pepperscene.recipe.recipe import Recipe
 from pepperscene.recipe.variation.extract import table_model
+from pepperscene.recipe.variation.recorded import read_variation
 from pepperscene.shipped import is_file, shipped_folder
 from pepperscene.units import default_value, table_fields
+
+DATE: Final = "growth.date"
+"""The only key of a recipe that is a date."""
 
 
 def is_varied(info: Mapping[str, Any], *keys: str) -> bool:
@@ -51,6 +57,23 @@ def listed_values(identity: Mapping[str, Any]) -> tuple[Any, ...]:
         return _as_tuple(identity["in_turn"])
     pairs = _as_tuple(identity.get("outcomes"))
     return tuple(pair[0] for pair in pairs if isinstance(pair, list) and pair)
+
+
+def recorded_recipe(info: Mapping[str, Any]) -> Recipe:
+    """The recipe of a data set, with the names of the user's own files, whose folders are not recorded.
+
+    Args:
+        info: the content of `dataset.json`, of valid types.
+
+    Raises:
+        InputError, ValueError: a value is not valid.
+    """
+    tables = {key: value for key, value in info["recipe"].items() if key != "variation"}
+    recipe = Recipe.model_validate_json(json.dumps(tables, allow_nan=False))
+    if DATE in recipe.twins:
+        dates = tuple(date.fromisoformat(str(value)) for value in recipe.twins[DATE])
+        recipe = recipe.model_copy(update={"twins": {**recipe.twins, DATE: dates}})
+    return recipe.with_variation(read_variation(info["recipe"]))
 
 
 def as_mapping(value: Any) -> dict[str, Any]:

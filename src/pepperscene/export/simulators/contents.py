@@ -1,4 +1,4 @@
-"""What a file of a scene holds, in any format: organs with poses and truth, plants, camera and light."""
+"""What a file of a scene holds, in any format: organs with poses and truth, plants, bodies, camera, light."""
 
 from __future__ import annotations
 
@@ -21,11 +21,14 @@ from pepperscene.scene.placement import organ_poses
 from pepperscene.version import __version__
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
+
     from pepperscene.camera import Camera
     from pepperscene.geometry import Mesh
     from pepperscene.materials import Surface
     from pepperscene.scene import Scene, Skeleton, Sky
     from pepperscene.truth.harvest import FruitTruth
+
 
 Pose = NDArray[np.float64]
 
@@ -84,7 +87,8 @@ class SceneContents:
         children: dict[int, list[int]] = {}
         for index, item in enumerate(self.mesh.instances):
             children.setdefault(item.parent, []).append(index)
-        node_of = {number: index for index, number in enumerate(self._first_numbers)}
+        numbers = [entry.get("instance", 0) for entry in self.nodes.extras]
+        node_of = {number: index for index, number in enumerate(numbers)}
         bodies, cut = [], set[int]()
         for index, truth in self.truths.items():
             stalk, pose, members = truth.stalk, truth.pose, [index]
@@ -100,10 +104,6 @@ class SceneContents:
                     members += children.get(member, [])
             bodies.append(HarvestBody(index, tuple(members), pose, self.mesh.instances[index].plant))
         return tuple(bodies)
-
-    @property
-    def _first_numbers(self) -> list[int]:
-        return [entry.get("instance", 0) for entry in self.nodes.extras]
 
     def to_json(self) -> dict[str, Any]:
         """The content without its triangles."""
@@ -259,3 +259,28 @@ def _fruit_entry(truth: FruitTruth) -> dict[str, Any]:
 
 def _rounded(values: ArrayLike, digits: int = 6) -> list[Any]:
     return list((np.round(np.asarray(values, dtype=float), digits) + 0.0).tolist())
+
+
+FRUIT_DENSITY: Final = 500.0  # kg m-3 of the outer volume; chosen: peppers are hollow
+BREAK_FORCE_N: Final = 30.0  # chosen: fifteen times the weight of a fruit of 200 g
+BREAK_TORQUE_N_M: Final = 1.0  # chosen: that force at a lever of 3 cm
+_RIGID: Final = frozenset({OrganClass.STEM, OrganClass.WIRE})
+
+
+def is_rigid(item: Instance) -> bool:
+    """Whether a gripper collides with what is not a fruit: stems, twine and objects; other organs yield."""
+    return item.organ_class in _RIGID or item.plant < 0
+
+
+def fruit_hull(contents: SceneContents, body: HarvestBody) -> Trimesh:
+    """The convex hull of a fruit in the axes of its body, metres."""
+    import trimesh
+
+    mesh = contents.mesh
+    corners = mesh.vertices[mesh.faces[mesh.face_runs.rows(body.fruit)].ravel()]
+    return trimesh.convex.convex_hull((corners - body.pose[:3, 3]) @ body.pose[:3, :3])
+
+
+def fruit_mass_kg(hull: Trimesh) -> float:
+    """Mass of a fruit with a convex hull."""
+    return FRUIT_DENSITY * float(hull.volume)

@@ -64,7 +64,7 @@ def export_scene(
         OutputError: a file cannot be written.
         SetupError: the library of a format is not installed, or there is not enough memory.
     """
-    path, stage = Path(out), on_stage or _ignore
+    path, stage = Path(out), on_stage or (lambda _: None)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(path, f"must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
@@ -134,7 +134,3 @@ def _write(contents: SceneContents, path: Path, suffix: str) -> tuple[Path, ...]
     # Other files are complete before the scene's own appears.
     written = write_files(path.parent, {name: files[name] for name in reversed(files)})
     return written[::-1]
-
-
-def _ignore(_: str) -> None:
-    """Callback of a caller that wants none."""

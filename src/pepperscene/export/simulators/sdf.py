@@ -17,8 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import Instance
-from pepperscene.export.simulators.bodies import FRUIT_DENSITY, fruit_hull, is_rigid
-from pepperscene.export.simulators.contents import HarvestBody, Pose, SceneContents, join_instances
+from pepperscene.export.simulators.contents import (
+    FRUIT_DENSITY,
+    HarvestBody,
+    Pose,
+    SceneContents,
+    fruit_hull,
+    is_rigid,
+    join_instances,
+)
 from pepperscene.geometry.glb import encode_glb
 from pepperscene.geometry.organ_parts import OrganNodes, organ_parts, word
 
@@ -40,11 +47,6 @@ def write_model(contents: SceneContents, folder: Path, name: str) -> tuple[str, 
 
     What stands is one link, with a visual for each plant and class. What falls when a fruit is cut is a link
     of its own, on a joint that a message to the topic `/model/NAME/LINK/detach` removes.
-
-    Args:
-        contents: of the scene.
-        folder: of the model.
-        name: of the model.
 
     Returns:
         Names of the files, `model.sdf` first.

@@ -18,14 +18,16 @@ from numpy.typing import NDArray
 from pepperscene.camera.image.colorimetry import srgb_decode
 from pepperscene.classes import CLASS_COLOURS, OrganClass
 from pepperscene.dataset.store.images import png_bytes
-from pepperscene.export.simulators.bodies import (
+from pepperscene.export.simulators.contents import (
     BREAK_FORCE_N,
     BREAK_TORQUE_N_M,
+    HarvestBody,
+    Pose,
+    SceneContents,
     fruit_hull,
     fruit_mass_kg,
     is_rigid,
 )
-from pepperscene.export.simulators.contents import HarvestBody, Pose, SceneContents
 from pepperscene.geometry.glb import roughness
 from pepperscene.geometry.mesh import PIGMENTS
 from pepperscene.geometry.natural_colours import linear_colours
@@ -50,11 +52,7 @@ _PROPERTY: Final = "userProperties:"
 
 
 def usd_files(contents: SceneContents, name: str) -> dict[str, bytes]:
-    """Encode a scene as a USD file, and its images.
-
-    Args:
-        contents: of the scene.
-        name: of the file; `.usda` is text, other suffixes are binary.
+    """Encode a scene as a USD file of this name, and its images; `.usda` is text, other suffixes are binary.
 
     Returns:
         Content by file name, that of `name` first.
@@ -75,17 +73,11 @@ def usd_files(contents: SceneContents, name: str) -> dict[str, bytes]:
 
 @dataclass(eq=False)
 class _Stage:
-    """A stage that is being filled.
-
-    Attributes:
-        contents: of the scene.
-        images: file name of each image of the colours.
-        paths: of the prims of nodes.
-    """
+    """A stage that is being filled."""
 
     contents: SceneContents
-    images: Mapping[str, str]
-    paths: dict[int, str] = field(default_factory=dict)
+    images: Mapping[str, str]  # file name of each image of the colours
+    paths: dict[int, str] = field(default_factory=dict)  # of the prims of nodes
 
     def __post_init__(self) -> None:
         self.pxr = import_library("pxr", "usd")
@@ -95,7 +87,6 @@ class _Stage:
         self.stage = self.pxr.Usd.Stage.CreateInMemory()
 
     def write(self) -> None:
-        """Write everything."""
         pxr, contents = self.pxr, self.contents
         pxr.UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
         pxr.UsdGeom.SetStageUpAxis(self.stage, pxr.UsdGeom.Tokens.z)

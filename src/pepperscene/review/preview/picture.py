@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from pepperscene.scene import DoubleRow, Greenhouse
+    from pepperscene.scene import Greenhouse
     from pepperscene.scene.greenhouse import RowLine
 
 Array = NDArray[np.float64]
@@ -57,12 +57,11 @@ class RowGeometry:
     """The rows of a scene.
 
     Attributes:
-        row, greenhouse: dimensions in metres.
+        greenhouse: dimensions in metres.
         plants: `(n, 2)` x and y of the plants of the double row.
         lines: of all rows, the double row first.
     """
 
-    row: DoubleRow
     greenhouse: Greenhouse
     plants: Array
     lines: tuple[RowLine, ...]
@@ -76,19 +75,12 @@ def row_geometry(setup: FrameSetup, set_index: int) -> RowGeometry:
     builder = SceneBuilder(setup.recipe, setup.cultivar, processes=1)
     row, greenhouse = builder.row, builder.greenhouse
     rng = random_generator(setup.recipe.seed, Stream.PLACE, set_index, 0)
-    return RowGeometry(
-        row, greenhouse, jittered_positions(row, greenhouse, rng), tuple(row_lines(row, greenhouse))
-    )
+    plants = jittered_positions(row, greenhouse, rng)
+    return RowGeometry(greenhouse, plants, tuple(row_lines(row, greenhouse)))
 
 
 def draw_plan(name: str, rows: RowGeometry, places: CameraPlaces) -> bytes:
-    """Draw a scene's camera places; returns the content of a PNG file.
-
-    Args:
-        name: of the recipe.
-        rows: of the scene.
-        places: of its cameras.
-    """
+    """Draw the camera places of a scene of the recipe with this name; returns the content of a PNG file."""
     import matplotlib
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator

@@ -58,10 +58,7 @@ class CameraPlaces:
 def scene_places(renderer: FrameRenderer, indices: Sequence[int], *, grown: bool) -> CameraPlaces:
     """The camera places of the scene of the first selected frame, evenly chosen if they are many.
 
-    Args:
-        renderer: of the recipe.
-        indices: selected frames, ascending.
-        grown: whether the plants may be grown, for views that depend on them.
+    The indices are ascending; `grown` is whether plants may be grown for views that depend on them.
     """
     recipe, plan = renderer.recipe, renderer.recipe.plan
     spec = plan.frame(indices[0])
@@ -124,12 +121,7 @@ def pose_format(path: Path) -> PoseFormat:
 
 
 def check_can_write_poses(renderer: FrameRenderer, indices: Sequence[int], *, grown: bool) -> None:
-    """Check that the poses of some frames can be computed and written, without computing them.
-
-    Args:
-        renderer: of the recipe.
-        indices: selected frames.
-        grown: whether the plants may be grown, for views that depend on them.
+    """Check that the poses of selected frames can be computed and written, without computing them.
 
     Raises:
         ArgumentError: the views depend on plants that must not be grown, or the frames are too many for a
@@ -154,10 +146,7 @@ def write_selected_poses(path: Path, renderer: FrameRenderer, indices: Sequence[
     A TUM file must have times; they are the indices of the frames. Intrinsics are written if the format has
     them and they are the same for all frames.
 
-    Args:
-        path: of the file or folder; its suffix sets the format.
-        renderer: of the recipe.
-        indices: selected frames, which `check_can_write_poses` has checked.
+    The suffix of the path sets the format; `check_can_write_poses` has checked the indices.
 
     Raises:
         PepperError: a frame has no view, or the file cannot be written.

@@ -151,7 +151,8 @@ def preview_plan(
     if probe:
         if executor.local_processes:
             job.check_memory(min(executor.local_processes, len(indices)))
-        (options.on_notice or _ignore)(f"frame {indices[0]} is rendered to estimate the cost")
+        if options.on_notice is not None:
+            options.on_notice(f"frame {indices[0]} is rendered to estimate the cost")
         cost = estimate_cost(job, indices, options.workers, renderer)
 
     # Draw before the first file is written.
@@ -180,10 +181,6 @@ def _picture_file(path: Path, name: str) -> Path:
         )
     check_can_write(file.absolute().parent, [file.name])
     return file
-
-
-def _ignore(_: object) -> None:
-    """Ignore a notice."""
 
 
 def estimate_cost(

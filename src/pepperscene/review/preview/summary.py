@@ -115,14 +115,8 @@ class PlanSummary:
 
 
 def summarise_plan(resolved: ResolvedRecipe, indices: Sequence[int]) -> PlanSummary:
-    """Collect what a plan contains; nothing is grown or rendered.
-
-    Args:
-        resolved: the recipe with its files.
-        indices: selected frames, ascending.
-    """
+    """Collect what a plan with selected frames, ascending, contains; nothing is grown or rendered."""
     recipe, plan = resolved.recipe, resolved.recipe.plan
-    scenes = count_scenes(recipe, indices)
     frames = FrameCount(
         sets=plan.sets,
         rotations=plan.rotations,
@@ -132,7 +126,7 @@ def summarise_plan(resolved: ResolvedRecipe, indices: Sequence[int]) -> PlanSumm
         total=plan.count,
         selected=len(indices),
         first=tuple(indices[:_FIRST_INDICES]),
-        scenes=scenes,
+        scenes=count_scenes(recipe, indices),
     )
     return PlanSummary(
         name=recipe.name,
@@ -151,7 +145,8 @@ def count_scenes(recipe: Recipe, indices: Sequence[int]) -> int:
 
     Frames of a set and rotation share a scene, unless their plants differ in drawn values or between twins.
     """
-    per_frame, per_twin = varies_plants_per_frame(recipe), _twins_differ_in_plants(recipe)
+    per_frame = varies_plants_per_frame(recipe)
+    per_twin = any(_is_plant_key(key.split(".")) for key in recipe.twins)
     plan, index = recipe.plan, np.asarray(indices)
     # The arithmetic of `Plan.frame`, for all frames at once.
     view, scene = index // plan.cameras, index // plan.scene_frames
@@ -166,10 +161,6 @@ def varies_plants_per_frame(recipe: Recipe) -> bool:
 
 def _plant_keys_per_frame(recipe: Recipe) -> list[str]:
     return [varied.name for varied in recipe.variation if varied.per == "frame" and _is_plant_key(varied.key)]
-
-
-def _twins_differ_in_plants(recipe: Recipe) -> bool:
-    return any(_is_plant_key(key.split(".")) for key in recipe.twins)
 
 
 def _is_plant_key(key: Sequence[str | int]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import colorsys
 import io
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -118,13 +119,24 @@ def png_data_uri(
     With `max_length`, pixels are left out until the URI has at most so many characters.
     """
     # Colours of labels must not be blended: a mixture would be another class.
-    longest = max(rgb.shape[:2])
-    stride = -(-longest // max_size_px)
-    uri = _png_data_uri(rgb[::stride, ::stride])
-    while max_length is not None and len(uri) > max_length and longest > _MIN_SIZE_PX * (stride + 1):
-        stride += 1
-        uri = _png_data_uri(rgb[::stride, ::stride])
-    return uri
+    return shortened(lambda step: _png_data_uri(rgb[::step, ::step]), rgb.shape, max_length, max_size_px)
+
+
+def shortened(
+    text_of: Callable[[int], str], shape: Sequence[int], max_length: int | None, max_px: int = _MAX_SIZE_PX
+) -> str:
+    """The text `text_of(n)` of every n-th row and column of labels with this shape `(h, w, ...)`.
+
+    n is the least with which the longer side has at most `max_px` pixels, and the text at most `max_length`
+    characters; but no side is reduced below 64 pixels for the latter.
+    """
+    longest = max(shape[:2])
+    step = -(-longest // max_px)
+    text = text_of(step)
+    while max_length is not None and len(text) > max_length and longest > _MIN_SIZE_PX * (step + 1):
+        step += 1
+        text = text_of(step)
+    return text
 
 
 def _png_data_uri(rgb: NDArray[np.uint8]) -> str:

@@ -130,7 +130,7 @@ class FrameRecords:
 def frame_records(dataset: Dataset) -> FrameRecords:
     """The numbers of all frames, from the manifest, or from the frame's JSON if the manifest lacks it."""
     indices = dataset.indices()
-    variation = _recorded_variation(dataset)
+    plan, variation, twins = _recorded_variation(dataset)
     columns = [f"{DRAWN}{varied.name}" for varied in variation]
     rows = _manifest_rows(dataset, columns)
     table = np.full((len(indices), len(NUMBERS) + len(_PIXELS)), np.nan)
@@ -147,18 +147,24 @@ def frame_records(dataset: Dataset) -> FrameRecords:
         if row.get("worker"):
             workers.add(str(row["worker"]))
     numbers = {name: table[:, column] for column, name in enumerate(NUMBERS)}
-    frames = np.array(indices, np.int64)
-    records = _drawn_records(dataset, frames, variation, drawn)
+    frames, records = np.array(indices, np.int64), None
+    if plan is not None and (variation or twins):
+        inside = frames < plan.count
+        draws = {varied.name: drawn[inside, column] for column, varied in enumerate(variation)}
+        records = DrawnRecords(plan, frames[inside], variation, draws, twins)
     return FrameRecords(frames, numbers, table[:, len(NUMBERS) :], frozenset(workers), records)
 
 
-def _recorded_variation(dataset: Dataset) -> tuple[Varied, ...]:
-    """The varied values of a data set, except those that its twins replace."""
+def _recorded_variation(
+    dataset: Dataset,
+) -> tuple[Plan | None, tuple[Varied, ...], Mapping[str, Sequence[Any]]]:
+    """The plan of a data set, its varied values except those that its twins replace, and its twins."""
     with suppress(LookupError, TypeError, ValueError):
         recipe = dataset.info["recipe"]
         twins = recorded_twins(recipe)
-        return tuple(varied for varied in read_variation(recipe) if varied.name not in twins)
-    return ()
+        variation = tuple(varied for varied in read_variation(recipe) if varied.name not in twins)
+        return Plan.model_validate(recipe["plan"]), variation, twins
+    return None, (), {}
 
 
 def _drawn_number(varied: Varied, value: Any) -> float:
@@ -169,23 +175,6 @@ def _drawn_number(varied: Varied, value: Any) -> float:
         with suppress(ValueError):
             return as_number(varied, json.loads(value))
     return number
-
-
-def _drawn_records(
-    dataset: Dataset,
-    indices: NDArray[np.int64],
-    variation: tuple[Varied, ...],
-    drawn: NDArray[np.float64],
-) -> DrawnRecords | None:
-    """The columns of `drawn` `(n, m)` are those of `variation`."""
-    with suppress(LookupError, TypeError, ValueError):
-        recipe = dataset.info["recipe"]
-        plan, twins = Plan.model_validate(recipe["plan"]), recorded_twins(recipe)
-        inside = indices < plan.count
-        numbers = {varied.name: drawn[inside, column] for column, varied in enumerate(variation)}
-        if variation or twins:
-            return DrawnRecords(plan, indices[inside], variation, numbers, twins)
-    return None
 
 
 def _manifest_rows(dataset: Dataset, drawn: Sequence[str]) -> dict[int, dict[str, Any]]:

@@ -11,19 +11,15 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pepperscene.classes import IGNORE_CLASS
 from pepperscene.dataset.readers.image_set import LabelledImage
-from pepperscene.review.report.colours import instance_colour
+from pepperscene.review.report.colours import instance_colour, shortened
 from pepperscene.truth.keypoints import fruit_keypoints
-
-_MAX_SIZE_PX: Final = 1600
-"""As of other images of the page."""
-_MIN_SIZE_PX: Final = 64  # chosen: labels are not reduced further
 
 
 def packed_labels(image: LabelledImage, max_length: int | None = None) -> str | None:
@@ -67,14 +63,7 @@ def packed_labels(image: LabelledImage, max_length: int | None = None) -> str | 
         ],
         "keypoints": _keypoints(image.metadata),
     }
-    step = -(-max(height, width) // _MAX_SIZE_PX)
-    text = pack({**content, **_runs(region, step)})
-    while (
-        max_length is not None and len(text) > max_length and max(height, width) > _MIN_SIZE_PX * (step + 1)
-    ):
-        step += 1
-        text = pack({**content, **_runs(region, step)})
-    return text
+    return shortened(lambda step: pack({**content, **_runs(region, step)}), region.shape, max_length)
 
 
 def _runs(region: NDArray[np.int32], step: int) -> dict[str, Any]:

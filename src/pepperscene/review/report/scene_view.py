@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,10 +16,10 @@ from pepperscene.classes import OrganClass
 from pepperscene.dataset.store.dataset import Dataset
 from pepperscene.dataset.store.fields import read_frame
 from pepperscene.dataset.store.frame_json import DIGITS
-from pepperscene.document import validate
+from pepperscene.dataset.store.recorded_values import DATE, recorded_recipe
 from pepperscene.errors import InputError
 from pepperscene.recipe.plan import FrameSpec
-from pepperscene.recipe.recipe import Recipe, digest
+from pepperscene.recipe.recipe import digest
 from pepperscene.recipe.resolve.frame_setups import FrameSetups
 from pepperscene.recipe.resolve.load import resolve_recipe
 from pepperscene.recipe.resolve.resolved import ResolvedRecipe
@@ -46,10 +45,6 @@ _LIBRARY: Final = re.compile(
     r"<script>\s*(/\*\*\s+\* @license\s+\* Copyright [^\n]*Three\.js Authors\n.*?\*/\n[^\n]+)\n", re.DOTALL
 )
 """The first script of the template starts with the licence and one line, the minified library."""
-
-
-_DATE: Final = "growth.date"
-"""The only key of a recipe that is a date."""
 
 
 class MissingSceneError(Exception):
@@ -109,7 +104,7 @@ def three_js() -> Markup | None:
 
 
 def _note_and_data(dataset: Dataset, shown: Sequence[int]) -> tuple[str, str]:
-    resolved = recorded_recipe(dataset.info)
+    resolved = resolve_recorded(dataset.info)
     plan = resolved.recipe.plan
     if shown[0] >= plan.count:
         raise MissingSceneError(f"frame {shown[0]} is not in the plan of the recipe")
@@ -157,9 +152,7 @@ def organ_triangles(
 ) -> tuple[dict[str, dict[str, list[int]]], int, int]:
     """The triangles of simplified plants, those nearest to some points first until they are too many.
 
-    Args:
-        mesh: of a row.
-        centres: `(n, 3)` metres.
+    The points are `(n, 3)` in metres.
 
     Returns:
         By class id, `positions`: x, y and z of each vertex in millimetres, and `faces`: three vertices of
@@ -201,7 +194,7 @@ def _whole(points: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.rint(_PER_METRE * points).astype(np.int64)
 
 
-def recorded_recipe(info: Mapping[str, Any]) -> ResolvedRecipe:
+def resolve_recorded(info: Mapping[str, Any]) -> ResolvedRecipe:
     """The recipe of a data set from the content of its `dataset.json`, which `read_info` has checked.
 
     Raises:
@@ -212,13 +205,10 @@ def recorded_recipe(info: Mapping[str, Any]) -> ResolvedRecipe:
         raise MissingSceneError(
             f"the data set was built by version {info['version']}, and this is {__version__}"
         )
-    tables = {key: value for key, value in info["recipe"].items() if key != "variation"}
-    variation = read_variation(info["recipe"])
-    if any(varied.name == _DATE for varied in variation):
+    if any(varied.name == DATE for varied in read_variation(info["recipe"])):
         raise MissingSceneError("the recipe draws dates, which data sets record as text")
     try:
-        recipe = validate(Recipe, _with_dates(tables), "dataset.json").with_variation(variation)
-        resolved = resolve_recipe(recipe)
+        resolved = resolve_recipe(recorded_recipe(info))
         is_same = digest(dict(resolved.identity)) == info["recipe_sha256"]
     except (InputError, ValueError):
         # Data sets record the names of the user's own files, not their folders.
@@ -226,17 +216,6 @@ def recorded_recipe(info: Mapping[str, Any]) -> ResolvedRecipe:
     if not is_same:
         raise MissingSceneError("the recipe names files that are not shipped with this version")
     return resolved
-
-
-def _with_dates(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """A recipe's tables from JSON, with dates instead of their text; raises `ValueError` if one is none."""
-    changed = dict(tables)
-    growth, twins = tables.get("growth") or {}, tables.get("twins") or {}
-    if isinstance(growth.get("date"), str):
-        changed["growth"] = {**growth, "date": date.fromisoformat(growth["date"])}
-    if _DATE in twins:
-        changed["twins"] = {**twins, _DATE: [date.fromisoformat(str(value)) for value in twins[_DATE]]}
-    return changed
 
 
 def grow_row(resolved: ResolvedRecipe, spec: FrameSpec) -> Mesh:
