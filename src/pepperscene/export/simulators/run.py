@@ -93,8 +93,7 @@ def _contents(
         raise ArgumentError("camera", "applies to scenes; a recipe has its own")
     resolved = resolve_recipe(scene, allow_code=allow_code)
     resolved.check_code()
-    plan = resolved.recipe.plan
-    spec = plan.frame(plan.select_indices(None if frame is None else [frame], "frame")[0])
+    spec = resolved.recipe.plan.first_frame(frame)
     on_stage("growing plants")
     # Another program may look at what the recipe's cameras do not see.
     frames = FrameRenderer(resolved, culled=False)
