@@ -172,10 +172,13 @@ def test_views_of_every_kind_show_no_coarse_plant_from_near(kind, one_plant):
 @pytest.mark.long
 @pytest.mark.parametrize("name", RECIPES)
 def test_shipped_recipes_show_no_coarse_plant_from_near(name):
+    recipe = ps.load_recipe(name)
+    if recipe.stand is not None:
+        pytest.skip("a stand has no rows")
     changes = {key: value for key, value in SMALL.items() if not key.startswith("greenhouse")}
     if name == "barth2018_robot":
         del changes["plan.frames"]  # its views are as many as its protocol has
-    if ps.load_recipe(name).greenhouse is not None:
+    if recipe.greenhouse is not None:
         changes["greenhouse.far_reach_mm"] = 900
     if name == "line_scanner":
         changes |= {"camera.width": 32, "camera.height": 24}

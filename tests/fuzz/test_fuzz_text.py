@@ -121,6 +121,12 @@ def read_sensor_of(path):
     Camera(LENS, load_sensor(path.with_name("s.toml")))
 
 
+def read_sensor(path):
+    """The sensor in a camera whose exposure suits a line scanner's time of a line."""
+    sensor = load_sensor(path)
+    Camera(LENS, sensor, exposure_s=min(sensor.line_time_s, 50e-6) if sensor.line_scan else 50e-6)
+
+
 LENS, SENSOR = load_lens("lensagon_cmfa0420nd"), load_sensor("ueye_ui5250re")
 READERS = {
     "any.toml": (
@@ -132,7 +138,7 @@ READERS = {
         lambda: [(PLANTS / f"{name}.toml").read_bytes() for name in ("kaite", "kaite_february", "tomato")],
         load_cultivar,
     ),
-    "sensor.toml": (lambda: with_absolute_files("sensors"), lambda path: Camera(LENS, load_sensor(path))),
+    "sensor.toml": (lambda: with_absolute_files("sensors"), read_sensor),
     "lens.toml": (lambda: with_absolute_files("lenses"), lambda path: Camera(load_lens(path), SENSOR)),
     "flash.toml": (
         lambda: with_absolute_files("flashes"),
