@@ -89,7 +89,9 @@ class Recovery:
 
 
 def recover(target: TuningTarget, problem: FitProblem, values: Mapping[str, np.ndarray]) -> Recovery:
-    """Fit simulated patches and compare the result with the hidden values."""
+    """Fit simulated patches, again with the noise at the values found; compare the result with the truth."""
+    first = fit_parameters(target, problem)
+    problem = target.problem([one.name for one in problem.parameters], noise_at=first.values)
     fit = fit_parameters(target, problem)
     true, fitted, sd = (
         np.concatenate([what[one.name] for one in fit.parameters]) for what in (values, fit.values, fit.sd)

@@ -179,20 +179,31 @@ class TuningTarget:
         return DirectModel.of(spectra, self.cultivar, self.tuned_parts) if spectra else None
 
     def problem(
-        self, names: Sequence[str], neighbours: Mapping[str, NeighbourEffect] | None = None
+        self,
+        names: Sequence[str],
+        neighbours: Mapping[str, NeighbourEffect] | None = None,
+        noise_at: Values | None = None,
     ) -> FitProblem:
-        """Return the fit of these parameters to all patches, with effects of neighbouring organs by kind."""
-        observations = self._by_view() if self.registered else self._by_kind(neighbours or {})
+        """Return the fit of these parameters to all patches.
+
+        Args:
+            names: of the parameters.
+            neighbours: effects of neighbouring organs by kind, unless patches are registered.
+            noise_at: values at which the sensor has the noise of registered patches: those of an earlier fit,
+                since less light has more noise; None for the recipe's.
+        """
+        observations = self._by_view(noise_at or {}) if self.registered else self._by_kind(neighbours or {})
         return FitProblem(self.parameters(names), self.tuned_parts, observations, self.direct_model)
 
-    def _by_view(self) -> list[Observation]:
-        """One observation for each view that a patch is named after."""
+    def _by_view(self, noise_at: Values) -> list[Observation]:
+        """One observation for each view that a patch is named after, with the noise at these values."""
+        parts = self.tuned_parts(noise_at)
         patches = {patch.name: patch for patch in self.patches.patches}
         observations = []
         for model in self.view_models:
             name = model.view.name
             if name in patches:
-                sigma = np.hypot(_REGISTERED_ERRORS, model.standard_errors(self.tuned_parts({})))
+                sigma = np.hypot(_REGISTERED_ERRORS, model.standard_errors(parts))
                 target = observables(patches[name].linear)
                 observations.append(Observation(name, (model,), target, sigma, NO_NEIGHBOURS))
         return observations
