@@ -239,7 +239,7 @@ def contents(folder):
     }
 
 
-PROGRESS = ("start ", "figure: ", "growing plants", "writing files")
+PROGRESS = ("start ", "figure: ", "growing plants", "rendering frame ", "writing files")
 
 
 @pytest.mark.long
