@@ -5,9 +5,8 @@ stated errors with true errors.
 
 Set-up: five parameters of a recipe are drawn at random, and their values from the priors. Patches of its
 organs are rendered at these values like images (see `simulate_patches`). The fit starts from the
-recipe's values. Its views have as many samples of light as the patches, because with fewer the spread of
-light within a view shifts by half of its standard deviation. Simulation and fit share the organs, and no
-random number of light and noise.
+recipe's values, and a second one has the sensor's noise at what the first found. Simulation and fit share the
+organs, and no random number of light and noise.
 
 Expected: the median relative error of the entries is below 5 %, all patches are matched to less than one
 CIEDE2000, and errors are as large as the fit states.
@@ -27,7 +26,7 @@ from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.tuning.diagnostics import is_consistent
 from pepperscene.tuning.parameters import select_parameters
-from pepperscene.tuning.target import SIMULATED_QUALITY, TuningTarget, simulate_patches
+from pepperscene.tuning.target import TuningTarget, simulate_patches
 
 DRAWS = 20
 SIGNIFICANCE = 1e-4
@@ -45,7 +44,7 @@ def recover_draw(seed: int, kinds, among, **size) -> Recovery:
         select_parameters(recipe, load_recipe_cultivar(recipe), load_camera(recipe), names), rng
     )
     patches = simulate_patches(recipe, values, kinds, noise=seed + 1, **size)
-    target = TuningTarget(recipe, patches, registered=True, quality=SIMULATED_QUALITY, **size)
+    target = TuningTarget(recipe, patches, registered=True, **size)
     return recover(target, target.problem(names), values)
 
 
