@@ -11,6 +11,7 @@ from pepperscene.recipe.resolve.load import load_recipe
 from pepperscene.recipe.resolve.load_camera import load_camera
 from pepperscene.recipe.resolve.resolved import load_recipe_cultivar
 from pepperscene.tuning import TuningTarget, simulate_patches
+from pepperscene.tuning.target import REGISTERED_LAB_ERROR
 from pepperscene.tuning.tuned import colour_steps, tuned_camera, tuned_parts
 
 SMALL = {"organs": 1, "pixels": 16}
@@ -44,6 +45,25 @@ def test_patches_show_the_views_of_a_target(recipe, default):
         assert np.array_equal(one.linear, decode_tone(one.codes))
     # At the recipe's values, the fit's model and the simulation differ by noise.
     assert np.abs(target.problem(["exposure"]).data_residuals({})).max() < 5.0
+
+
+def test_dim_patches_have_more_noise(recipe, default):
+    """With a quarter of the light, a mean has twice the relative shot noise, and four times the amplifier's.
+
+    The slope of lightness over the logarithm of light is 4^(1/3) times smaller.
+    """
+    target = TuningTarget(recipe, default, registered=True, **SMALL)
+    power = target.parameters(["flash.power"])[0].default
+    bright, dim = (
+        np.sqrt([one.sigma[0] ** 2 - REGISTERED_LAB_ERROR**2 for one in problem.observations])
+        for problem in (
+            target.problem(["exposure"]),
+            target.problem(["exposure"], noise_at={"flash.power": 0.25 * power}),
+        )
+    )
+    slope = 4.0 ** (-1.0 / 3.0)
+    assert (dim > 2.0 * slope * bright).all()
+    assert (dim < 4.0 * slope * bright).all()
 
 
 @pytest.mark.long

@@ -18,8 +18,16 @@ _MOST_BATCH: Final = 4096  # chosen: far beyond the batches of such networks
 _MOST_SEED: Final = 2**32 - 1  # chosen: seeds times steps fit into the 64 bits of torch's generator
 
 
-_NAMES: Final = ("steps", "batch", "learning_rate", "schedule", "balance", "lovasz")
-_OTHER: Final = MappingProxyType(dict(zip(_NAMES, (2000, 8, 1e-3, "cosine", 0.5, 1.0), strict=True)))
+_OTHER: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "steps": 2000,
+        "batch": 8,
+        "learning_rate": 1e-3,
+        "schedule": "cosine",
+        "balance": 0.5,
+        "lovasz": 1.0,
+    }
+)
 """Training of a model of the user's, unless options say otherwise. Chosen: as `small`, at half the rate."""
 
 MODELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
@@ -29,7 +37,14 @@ MODELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         # Chosen: as `small`, at half the rate, so that weights learned on photographs change little.
         "efficientnet_lite0": _OTHER,
         # Section 2.8 of the paper.
-        "deeplab_vgg16": dict(zip(_NAMES, (30_000, 10, 5e-5, "constant", 0.0, 0.0), strict=True)),
+        "deeplab_vgg16": {
+            "steps": 30_000,
+            "batch": 10,
+            "learning_rate": 5e-5,
+            "schedule": "constant",
+            "balance": 0.0,
+            "lovasz": 0.0,
+        },
     }
 )
 """Models of this package by name, with the options of the training that suits them."""

@@ -121,7 +121,7 @@ class BuildJob:
             described |= {"moment": spec.moment, "twin": spec.twin}
         if recipe.rig:
             described |= {"moment": spec.moment, "rig_camera": camera_name(recipe, spec)}
-        drawn = frame_values(recipe, spec)[1]
+        _, drawn = frame_values(recipe, spec)
         return {**described, "drawn": drawn} if drawn else described
 
     def frame_metadata(self, frame: Frame, spec: FrameSpec) -> dict[str, Any]:

@@ -42,11 +42,6 @@ from pepperscene.truth.encodings import is_class_id
 from pepperscene.user_files import read_file
 
 _INSTANCES: Final = 65_535  # instance images have 16 bits
-_INSTANCE_KEY: Final = (
-    "^([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$"
-)
-"""1 to 65535, without leading zeros."""
-
 Line = Annotated[str, Field(max_length=400, pattern=r"^[^\x00-\x1f]+$")]
 """As the names in a recipe."""
 Count = Annotated[int, Field(ge=0, le=int(LARGEST))]
@@ -54,9 +49,18 @@ Number = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 Seed = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Place = Annotated[int, Field(ge=0, lt=MAX_FRAMES)]
 InstanceNumber = Annotated[int, Field(ge=1, le=_INSTANCES)]
-InstanceKey = Annotated[str, Field(pattern=_INSTANCE_KEY)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Two = Annotated[list[Item], Field(min_length=2, max_length=2)]
+
+
+def _check_instance_key(key: str) -> str:
+    # Not `int` alone, which reads "+7", "007" and digits of other scripts.
+    if not (key.isascii() and key.isdigit() and key[0] != "0" and len(key) <= 5 and int(key) <= _INSTANCES):
+        raise ValueError(f"must be a number, 1 to {_INSTANCES}")
+    return key
+
+
+InstanceKey = Annotated[str, AfterValidator(_check_instance_key)]
 
 
 class _Fields(BaseModel):
