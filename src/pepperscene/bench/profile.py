@@ -21,6 +21,7 @@ from pepperscene.bench.reference import OnProgress
 from pepperscene.bench.report import time_table
 from pepperscene.bench.run import DEFAULT_RUNS, check_arguments
 from pepperscene.bench.scenes import SCENES, BenchScene
+from pepperscene.building.scenes.row_cache import CACHE
 from pepperscene.errors import SetupError
 
 LABELS: Final = ("class", "instance", "distance")
@@ -104,7 +105,8 @@ def run_children(
         for task in tasks:
             process = subprocess.Popen(
                 [sys.executable, "-P", str(_CHILD), json.dumps(asdict(task))],
-                env={**os.environ, **(environment or {})},
+                # Rows that an earlier process has kept would leave nothing to time.
+                env={**os.environ, CACHE: "none", **(environment or {})},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
