@@ -4,6 +4,8 @@ The last triangles before an outline are visible while their interpolated normal
 correction, or filtered together with the empty background, they draw a dark line around every fruit.
 """
 
+import math
+
 import numpy as np
 import pytest
 from bodies import EVEN_SKY, RANGE_NM, axis_camera, sphere
@@ -15,6 +17,7 @@ from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import Renderer
+from pepperscene.render.surface.optics import Optics
 from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import assemble_scene
@@ -41,8 +44,8 @@ def white(name: str, ior: float, alpha: float) -> Surface:
 )
 def test_coarse_lossless_ball_has_no_dark_rim_in_a_uniform_sky(ior, roughness, least, rim):
     # 80 triangles, whose normals are up to 20 degrees off: without correction, the darkest pixels fall to .65
-    # and the outermost to .90 to .95. Light is still lost on the wrong side of a triangle: (1 - cos t) / 2 of
-    # a matt body, and up to half of a mirror image at the rim.
+    # and the outermost to .90 to .95. Of a mirror image at the rim, up to half is still lost on the wrong
+    # side of a triangle.
     ball = sphere((0.0, 0.0, 0.5), 0.03, "white", subdivisions=1)
     light, depth = photograph(ball, {"white": white("white", ior, roughness)})
     assert light[depth > 0].min() > least
@@ -96,6 +99,32 @@ def corrected(g: np.ndarray, n: np.ndarray, v: np.ndarray):
     si.wi = si.to_local(vectors(v))
     si = shading_normals(si)
     return tuple(np.array(axis).T for axis in (si.sh_frame.n, si.sh_frame.s, si.sh_frame.t, si.wi))
+
+
+@pytest.mark.parametrize("albedo", [1.0, 0.5])
+def test_no_light_leaves_between_the_normals_of_triangle_and_surface(albedo):
+    # Of a matt body, (1 - cos t) / 2 of the light is below a plane that is turned by t. It meets the body
+    # again, so p (1 - l) / (1 - l p) leaves in the end.
+    mi, dr = mitsuba_modules()
+    turn, count = math.radians(35.0), 1 << 14
+    body = Surface("matt", RANGE_NM, np.full((1, 2, 2), albedo), np.zeros((1, 2)), 1.0, (0.3, 0.3))
+    optics = Optics.pack([body], *RANGE_NM)
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.wi, si.n = mi.Vector3f(0.0, 0.0, 1.0), mi.Normal3f(math.sin(turn), 0.0, math.cos(turn))
+    si.sh_frame, si.wavelengths = mi.Frame3f(mi.Normal3f(0.0, 0.0, 1.0)), mi.Spectrum(550.0)
+    point = optics.point(si, mi.UInt32(0), mi.Float(0.5), mi.Bool(True), None)
+    rng = np.random.default_rng(3)
+    u = rng.random((3, count)).astype(np.float32)
+    wo, density, weight, _ = point.sample(mi.Float(u[0]), mi.Point2f(u[1], u[2]))
+    going = np.asarray(density) > 0.0
+    assert np.asarray(dr.dot(si.n, wo))[going].min() > 0.0
+    lost = 0.5 * (1.0 - math.cos(turn))
+    assert 1.0 - going.mean() == pytest.approx(lost, abs=0.01)  # four standard deviations
+    sent = np.where(going, np.asarray(weight)[0], 0.0).mean()
+    assert sent == pytest.approx(albedo * (1.0 - lost) / (1.0 - albedo * lost), abs=0.01)
+    # Values along directions that were not sampled follow the same sides.
+    below = mi.Vector3f(-0.98, 0.0, 0.199)
+    assert dr.max(point.eval_pdf(below)[0])[0] == 0.0
 
 
 def random_units(rng, count):

@@ -224,7 +224,7 @@ class Optics:
             keep = wi.z * si.wi.z > 0.0
             frame = dr.select(keep, relief, frame)
             wi = dr.select(keep, wi, si.wi)
-        in_front = wi.z > 0.0
+        triangle, in_front = si.to_local(mi.Vector3f(si.n)), wi.z > 0.0
         wi = mi.Vector3f(wi.x, wi.y, dr.abs(wi.z))
 
         # The cuticle on the viewer's side, and how open both sides are.
@@ -260,13 +260,13 @@ class Optics:
             cover_behind=cover_behind,
             in_front=in_front,
             leaving=dr.minimum(1.0, far.mean / near.mean),
-            lost=None if footprint is None else 0.5 * (1.0 - frame.n.z),
+            lost=0.5 - 0.5 * dr.clip(dr.dot(frame.n, triangle), 0.0, frame.n.z),
             # Rounding may take the scanned black below 0.
             is_scanned=None if colour is None or self.scanned is None else colour.x > 0.5 * PIGMENTS,
             colour=colour,
             change=change,
         )
-        return SurfacePlace(place, frame, wi, gloss, near, far)
+        return SurfacePlace(place, frame, triangle, wi, gloss, near, far)
 
     def seen(self, surface: SurfacePlace, columns: Any, active: Any) -> SurfacePoint:
         """The optical state at a place in some columns of the tables."""
@@ -274,6 +274,7 @@ class Optics:
         reflectance, transmittance = self.reflectances(surface.body, columns, active)
         return SurfacePoint(
             frame=surface.frame,
+            triangle=surface.triangle,
             wi=surface.wi,
             flip=dr.select(surface.body.in_front, mi.Float(1.0), mi.Float(-1.0)),
             reflectance=reflectance,
@@ -308,16 +309,14 @@ class Optics:
         through *= (1.0 - cover) * (1.0 - cover_behind)
         total = dr.select(place.in_front, front, back) + through
         transmitted = through * place.leaving
-        if place.lost is not None:
-            lost = place.lost
-            total_behind = dr.select(place.in_front, back, front) + through
-            # In a channel, the mean of what is scattered twice exceeds the square of the mean.
-            variance *= dr.square(1.0 - cover)
-            again, again_behind = (
-                dr.rcp(1.0 - lost * (both + variance / dr.maximum(both, least)))
-                for both in (total, total_behind)
-            )
-            total, transmitted = total * again, transmitted * dr.minimum(again, again_behind)
+        total_behind = dr.select(place.in_front, back, front) + through
+        # In a channel, the mean of what is scattered twice exceeds the square of the mean.
+        variance *= dr.square(1.0 - cover)
+        again, again_behind = (
+            dr.rcp(1.0 - place.lost * (both + variance / dr.maximum(both, least)))
+            for both in (total, total_behind)
+        )
+        total, transmitted = total * again, transmitted * dr.minimum(again, again_behind)
         return dr.maximum(total - transmitted, 0.0), transmitted
 
     def _columns(self, wavelengths: Any) -> Any:
@@ -343,8 +342,7 @@ class Optics:
         mi, dr = mitsuba_modules()
         row_length = self.channels if self.channels in _COLOURS else self.columns
         spectrum = channel_array(len(columns))
-        front, back, through = (spectrum(0.0) for _ in range(3))
-        variance = spectrum(0.0)
+        front, back, through, variance = (spectrum(0.0) for _ in range(4))
         for k, column in enumerate(columns):
             entry = place.row * row_length + column
             a = dr.gather(mi.Vector4f, self.spectra, entry, active)

@@ -46,6 +46,8 @@ conserve the energy of a matt body for every slope. All are reciprocal for direc
 surfaces, because l depends on the place alone. For a body under gloss, which sends less light to the horizon,
 l is an upper limit, and gloss below the smooth surface is still lost: together they change the light that a
 lossless surface sends out by less than 1.5 % (`tests/laws/test_furnace.py`).
+Directions between the normals of the smooth surface and of its triangle are dropped and made up for in the
+same way: such rays would enter an opaque body, or leave one.
 
 Gloss of a rough dielectric cuticle: two GGX lobes of the same index on fractions of its area.
 
@@ -168,6 +170,7 @@ class SurfacePoint:
 
     Attributes:
         frame: shading frame of the relief within the smooth one.
+        triangle: normal of the triangle in the smooth frame.
         wi: direction to the viewer in the relief's frame, above it.
         flip: -1 if the viewer is on the back side.
         reflectance, transmittance: R' and T' of the body, to the viewer's side and to the other, by
@@ -181,6 +184,7 @@ class SurfacePoint:
     """
 
     frame: Any
+    triangle: Any
     wi: Any
     flip: Any
     reflectance: Any
@@ -200,7 +204,15 @@ class SurfacePoint:
         """A direction in the relief's frame with the viewer above, and whether no side changes."""
         mi, _ = mitsuba_modules()
         local = self.frame.to_local(wo)
-        return mi.Vector3f(local.x, local.y, local.z * self.flip), wo.z * local.z > 0.0
+        return mi.Vector3f(local.x, local.y, local.z * self.flip), self._is_same_side(wo, local.z)
+
+    def _is_same_side(self, wo: Any, height: Any) -> Any:
+        """Whether a direction is on the same side of the relief, the smooth surface and the triangle.
+
+        `wo` is in the smooth frame, and `height` its z in the relief's.
+        """
+        _, dr = mitsuba_modules()
+        return (wo.z * height > 0.0) & (dr.dot(self.triangle, wo) * height > 0.0)
 
     def sample(self, sample1: Any, sample2: Any) -> Any:
         """Sample a direction.
@@ -219,7 +231,7 @@ class SurfacePoint:
         local = dr.select(mirror, mirrored, scattered)
         wo = self.frame.to_world(mi.Vector3f(local.x, local.y, local.z * self.flip))
         # A mirrored direction can end below; one on a relief can end on the other side of the smooth surface.
-        valid = (~mirror | (local.z > 0.0)) & (wo.z * local.z * self.flip > 0.0)
+        valid = (~mirror | (local.z > 0.0)) & self._is_same_side(wo, local.z * self.flip)
         value, density = self.eval_pdf_in_relief(local, valid)
         lobe = dr.select(mirror, mi.UInt32(0), dr.select(remainder < through, mi.UInt32(2), mi.UInt32(1)))
         return wo, density, value / dr.maximum(density, 1e-20), lobe
@@ -232,7 +244,8 @@ class SurfacePoint:
         mi, _ = mitsuba_modules()
         local = self.gloss.sample(self.wi, sample1, sample2)
         wo = self.frame.to_world(mi.Vector3f(local.x, local.y, local.z * self.flip))
-        return wo, *self.eval_pdf_in_relief(local, (local.z > 0.0) & (wo.z * self.flip > 0.0))
+        valid = (local.z > 0.0) & self._is_same_side(wo, local.z * self.flip)
+        return wo, *self.eval_pdf_in_relief(local, valid)
 
     def gloss_density(self, wo: Any) -> Any:
         """Density of `sample_gloss` at a direction in the smooth local frame."""
@@ -355,7 +368,7 @@ class BodyPlace:
         cover, cover_behind: fractions of the front and of the back that residue covers.
         in_front: whether the viewer is on the front.
         leaving: fraction of the transmitted light that the other side lets out.
-        lost: fraction of the body's light that a relief sends below the horizon; None without relief.
+        lost: fraction of the body's light that a relief sends below the horizon, or a triangle's normal.
         is_scanned: whether a scan gives the colour; None if no organ has any.
         colour: linear sRGB of the scan.
         change: relative change of the body's reflectance by a fine texture, where the body absorbs all other
@@ -370,7 +383,7 @@ class BodyPlace:
     cover_behind: Any
     in_front: Any
     leaving: Any
-    lost: Any | None = None
+    lost: Any
     is_scanned: Any | None = None
     colour: Any = None
     change: Any | None = None
@@ -382,11 +395,12 @@ class SurfacePlace:
 
     Attributes:
         body: of the sheet.
-        frame, wi, gloss, near, far: as of `SurfacePoint`.
+        frame, triangle, wi, gloss, near, far: as of `SurfacePoint`.
     """
 
     body: BodyPlace
     frame: Any
+    triangle: Any
     wi: Any
     gloss: GlossLobes
     near: SideOpenness
