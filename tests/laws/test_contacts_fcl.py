@@ -257,10 +257,21 @@ def test_counted_blades_touch_stems(row: Mesh) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["kaite", "kaite_february", "kaite_september", "orange_pointed", "tomato"])
-def test_rate_of_contacts_is_below_one_percent_with_confidence(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "plants"),
+    [
+        ("kaite", 200),
+        ("kaite_february", 800),
+        ("kaite_september", 200),
+        ("orange_pointed", 200),
+        ("tomato", 200),
+    ],
+)
+def test_rate_of_contacts_is_below_one_percent_with_confidence(name: str, plants: int) -> None:
+    # Young plants have three fruit each, and a few of these stay 2 mm deep in a petal of the flower beside
+    # them: 800 of them have as many fruit as 200 old ones, so that the confidence is the same.
     cultivar = load_cultivar(name)
-    hits, total = count_fruit(resolved(cultivar, seed) for seed in range(1000, 1200))
+    hits, total = count_fruit(resolved(cultivar, seed) for seed in range(1000, 1000 + plants))
     # One-sided 95 % confidence for a rate (Clopper & Pearson 1934).
     assert stats.beta.ppf(0.95, hits + 1, total - hits) < 0.01
 
