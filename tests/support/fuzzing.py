@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pepperscene.errors import PepperError
 
 EXAMPLES = pytest.mark.parametrize(
-    "examples", [pytest.param(15, id="few"), pytest.param(10_000, id="many", marks=pytest.mark.long)]
+    "examples", [pytest.param(15, id="few"), pytest.param(3_000, id="many", marks=pytest.mark.long)]
 )
 """Of every test: the first runs always, the second in the long set."""
 

@@ -195,6 +195,8 @@ def _headers():
         "digits.ply": ply_header("element vertex " + 30 * "9", *XYZ, *faces),
         "negative.ply": ply_header("element vertex -3", *XYZ, *faces),
         "unknown type.ply": ply_header("element vertex 3", "property real x", *faces) + bytes(99),
+        "no type.ply": ply_header("element vertex 3", "property", *faces) + bytes(99),
+        "equal corners.obj": b"v 0 0 0\nv 1e-9 0 0\nv 1 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n",
         "long list.ply": ply_header("element vertex 3", *XYZ, "element face 1", LONG)
         + bytes(36) + struct.pack("<I", 2**32 - 1) + bytes(12),
         "endless header.ply": b"ply\nformat ascii 1.0\n" + b"comment x\n" * 20_000,

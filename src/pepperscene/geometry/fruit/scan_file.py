@@ -184,7 +184,7 @@ def _ply_elements(header: str, path: Path) -> list[tuple[str, int, int]]:
                 elements.append((name, int(count), 0))
             case ["property", *types] if elements:
                 # A list can be empty, but has a number of entries.
-                size = _PLY_BYTES.get(types[1] if types[:1] == ["list"] and len(types) > 1 else types[0])
+                size = _PLY_BYTES.get("".join(types[1:2] if types[:1] == ["list"] else types[:1]))
                 if size is None:
                     raise damaged_scan(path, f"its header has the line {line[:60]!r}")
                 name, number, sum_before = elements[-1]
