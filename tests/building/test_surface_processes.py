@@ -72,7 +72,7 @@ def test_surfaces_of_the_last_cultivar_are_kept(kaite, monkeypatch):
 def test_scenes_of_few_plants_or_one_process_start_none(processes, plants, recipe, monkeypatch):
     asked = []
 
-    def surfaces(_self, _cultivar, _first_nm, _last_nm, worker):
+    def surfaces(_self, _cultivar, _first_nm, _last_nm, worker, *_):
         asked.append(worker is not None)
         return {}
 
