@@ -58,7 +58,7 @@ def flip(path, rng):
     return f"bit {bit} of byte {position}"
 
 
-@pytest.mark.parametrize("flips", [3, pytest.param(400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("flips", [3, pytest.param(100, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", FILES)
 def test_flipped_bits_are_found_and_repaired(original, tmp_path, name, flips):
     folder, rng = tmp_path / "set", np.random.default_rng(15)
