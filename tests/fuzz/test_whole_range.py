@@ -62,7 +62,7 @@ def render(tables: dict, changes: dict, outputs: tuple[str, ...]):
 def test_the_whole_range_gives_an_image_or_one_sentence():
     admitted, refused = [], []
 
-    @settings(max_examples=200, report_multiple_bugs=False)
+    @settings(max_examples=25, report_multiple_bugs=False)
     @given(whole_range.cultivar_tables(), whole_range.recipe_changes(), st.sampled_from(OUTPUT_SETS))
     def once(tables, changes, outputs):
         try:
