@@ -94,8 +94,9 @@ def _check_content(folder: Path, info: Mapping[str, Any]) -> None:
         existing = read_json(folder / MARK, within=folder)
     except InputError as error:
         raise OutputError(f"{error}; restore that file from a copy, or choose another folder") from None
-    # Those of other formats may have no checksum, and are refused below.
-    if existing.get("format") == info["format"] and not is_as_written(existing):
+    # Sets of other formats may have no checksum, and are refused below.
+    is_checked = CHECKSUM in existing or existing.get("format") == info["format"]
+    if is_checked and not is_as_written(existing):
         problem = "is damaged; restore that file from a copy, or choose another folder"
         raise OutputError(f"{folder / MARK}: {problem}")
     differences = [text for name in _COMPARED for text in _differences(name, existing.get(name), info[name])]
