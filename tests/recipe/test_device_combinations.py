@@ -169,5 +169,5 @@ def test_shipped_devices_work_together_or_are_refused(tmp_path, steps, first):
         except InputError as error:
             assert "\n" not in str(error)  # noqa: PT017 - either is right
             assert not (folder / "out").exists()
-    # Sensors with bands and line scanners have no colour, filters can leave nothing, infrared light has no white.
+    # Sensors with bands and line scanners have no colour, infrared light has no white.
     assert made > len(combinations) // 4

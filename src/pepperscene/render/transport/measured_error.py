@@ -28,9 +28,9 @@ _GRID: Final = 48
 that with 32 the result varies by 20 % with their choice."""
 _LEAST_SAMPLES: Final = 32
 _TESTS_PER_SOFT: Final = 4
-"""Samples of each mean: the least number, and those for each sample of indirect light. Chosen: over frames and
-seeds of `greenhouse` the result's standard deviation is 7 % of the true error, with half as many 10 %. They
-take .4 s of CPU time for a draft and .7 s for `standard`, 2 to 4 % of a frame more than half as many."""
+"""Samples of each mean: the least number, and those for each sample of indirect light. Chosen: over frames
+and seeds of `greenhouse` the result's standard deviation is 7 % of the true error, with half as many 10 %.
+They take .4 s of CPU time for a draft and .7 s for `standard`, 2 to 4 % of a frame more than half as many."""
 _GOLDEN_RATIO: Final = 0.618034
 _STEP: Final = 0.125
 """Of a difference. Chosen: small beside the light, large beside the steps of a table of tones."""
