@@ -120,7 +120,7 @@ def interrupted_build(start, folder, rng, max_kills, script, max_s, log):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("script", "count", "max_s"), [(FAKE, 100, 4.0), (REAL, 30, 30.0)], ids=["noise", "colour and all labels"]
+    ("script", "count", "max_s"), [(FAKE, 30, 4.0), (REAL, 10, 30.0)], ids=["noise", "colour and all labels"]
 )
 def test_builds_that_are_killed_at_random_times(start, tmp_path, log, script, count, max_s):
     rng, folder, kills = np.random.default_rng(count), tmp_path / "set", 0

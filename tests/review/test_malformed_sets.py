@@ -279,8 +279,8 @@ def test_a_sample_of_malformed_values_raises_errors_for_users(original, tmp_path
 
 @pytest.mark.long
 @pytest.mark.parametrize("file", FILES)
-def test_every_malformed_value_raises_an_error_for_users(file, original, tmp_path, without_charts):
-    check_cases(original, tmp_path, [case for case in all_cases(original) if case[0] == file])
+def test_every_seventh_malformed_value_raises_an_error_for_users(file, original, tmp_path, without_charts):
+    check_cases(original, tmp_path, [case for case in all_cases(original) if case[0] == file][::7])
 
 
 @pytest.mark.parametrize("key", [("ripeness",), ("plant",), ("peduncle", "cut", "px")])
