@@ -17,8 +17,8 @@ from pepperscene.geometry import mesh_plant
 from pepperscene.grammar import Organ, Plant
 from pepperscene.materials import Surface, lambertian_surface
 from pepperscene.render import Renderer
+from pepperscene.render.surface.normals import shading_normals
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import assemble_scene
 
@@ -121,7 +121,9 @@ def test_no_light_leaves_between_the_normals_of_triangle_and_surface(albedo):
     lost = 0.5 * (1.0 - math.cos(turn))
     assert 1.0 - going.mean() == pytest.approx(lost, abs=0.01)  # four standard deviations
     sent = np.where(going, np.asarray(weight)[0], 0.0).mean()
-    assert sent == pytest.approx(albedo * (1.0 - lost) / (1.0 - albedo * lost), abs=0.01)
+    expected = albedo * (1.0 - lost) / (1.0 - albedo * lost)
+    assert sent == pytest.approx(expected, abs=0.01)
+    assert np.asarray(point.diffuse_reflectance())[0] == pytest.approx(expected, rel=1e-5)
     # Values along directions that were not sampled follow the same sides.
     below = mi.Vector3f(-0.98, 0.0, 0.199)
     assert dr.max(point.eval_pdf(below)[0])[0] == 0.0

@@ -18,8 +18,8 @@ from pepperscene.geometry import Mesh
 from pepperscene.materials.tissue import choose_texture, texture_count
 from pepperscene.render.arrays import WORLD, LocalCoordinates, device_array, local_coordinates
 from pepperscene.render.kernel.cells import SurfaceCells, surface_cells
+from pepperscene.render.surface.normals import shading_normals
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.scattering import shading_normals
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 

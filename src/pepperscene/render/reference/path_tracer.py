@@ -33,8 +33,9 @@ from pepperscene.render.reference.emitters import (
     flash_emitter,
     lamp_emitter,
 )
+from pepperscene.render.surface.normals import shading_normals
 from pepperscene.render.surface.optics import Optics
-from pepperscene.render.surface.scattering import select_point, shading_normals
+from pepperscene.render.surface.scattering import select_point
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import Scene
 

@@ -72,6 +72,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 from pepperscene.materials.gloss import TABLE_SCALE, TABLE_SIZE
+from pepperscene.render.surface.normals import lost_light
 from pepperscene.render.variant import mitsuba_modules
 
 
@@ -125,43 +126,10 @@ def _unmasked(cosine: Any, square: Any) -> Any:
     return cosine + dr.sqrt(dr.fma(square, dr.maximum(1.0 - z, 0.0), z))
 
 
-_MIN_SQUARE: Final = 1e-20
-"""Chosen: below the square of any length here that single precision distinguishes from 0."""
 _NODES_PER_LOG: Final = (TABLE_SIZE - 1) / math.log1p(1.0 / TABLE_SCALE)
 MIN_COSINE: Final = 1e-5
 """No light is scattered to or from directions closer to the horizon. Chosen: single precision resolves no
 angles there, and only 1e-10 of a diffuse lobe is beyond it."""
-
-
-def shading_normals(si: Any) -> Any:
-    """Turn shading normals as far as needed for the viewer to see the front of both surfaces.
-
-    Returns interactions in which the viewer is on the same side of the shading normal as of the triangle,
-    with `wi` in the new frames.
-
-    Args:
-        si: surface interactions; `n` and `sh_frame.n` point out of the same side of the mesh.
-    """
-    mi, dr = mitsuba_modules()
-    view = si.to_world(si.wi)
-    # Seen from behind, both normals are reversed, which leaves c unchanged.
-    b = dr.dot(si.n, view)
-    a = dr.mulsign(dr.dot(si.sh_frame.n, view), b)
-    b = dr.abs(b)
-    c = dr.dot(si.sh_frame.n, si.n)
-    length = dr.sqrt(dr.maximum(a * a + b * b - 2.0 * a * b * c, _MIN_SQUARE))
-    normal = b * si.sh_frame.n + (length - a) * si.n
-    # A shading normal opposite to the triangle's leaves no direction between the two.
-    square = dr.squared_norm(normal)
-    valid = square > _MIN_SQUARE
-    normal = dr.select(valid, normal * dr.rsqrt(dr.select(valid, square, 1.0)), si.n)
-
-    # Where no turn is needed the frame keeps its exact bits.
-    needed = (a <= 0.0) | (2.0 * a * c < b)
-    result = mi.SurfaceInteraction3f(si)
-    result.sh_frame = dr.select(needed, mi.Frame3f(mi.Normal3f(normal)), si.sh_frame)
-    result.wi = dr.select(needed, result.to_local(view), si.wi)
-    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +232,7 @@ class SurfacePoint:
         surface, as a mean over the directions of view, which differ by their openness only. Between 0 and 1;
         1 for a lossless matt surface with any relief, and the reflectance of a grey card.
         """
-        return self.reflectance * (self.near.mean * (0.5 + 0.5 * self.frame.n.z))
+        return self.reflectance * (self.near.mean * (1.0 - lost_light(self.frame, self.triangle)))
 
     def _lobe_probabilities(self) -> Any:
         """Probabilities of the gloss and, if it is not chosen, of diffuse transmission.
