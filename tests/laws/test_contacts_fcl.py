@@ -264,7 +264,7 @@ def test_counted_blades_touch_stems(row: Mesh) -> None:
         ("kaite_february", 800),
         ("kaite_september", 200),
         ("orange_pointed", 200),
-        ("tomato", 200),
+        ("tomato", 60),
     ],
 )
 def test_rate_of_contacts_is_below_one_percent_with_confidence(name: str, plants: int) -> None:

@@ -40,10 +40,14 @@ def compare(recipe, index, binning, quality="reference", seeds=(1, 2)):
     return frames, triangles, float(np.mean(first * second)), float(np.mean((first + second) / 2.0))
 
 
-def assert_same_labels(frames, most=0.0):
+def assert_same_labels(frames, ties=0):
+    """Labels are the same, but for a few pixels where a ray hits two organs at the same distance."""
     complete, culled = frames
+    same_distance = complete["distance"] == culled["distance"]
     for name in LABELS:
-        assert np.mean(np.any(np.atleast_3d(complete[name] != culled[name]), axis=-1)) <= most, name
+        differs = np.any(np.atleast_3d(complete[name] != culled[name]), axis=-1)
+        assert differs.sum() <= ties, name
+        assert same_distance[differs].all(), name
 
 
 @pytest.mark.parametrize(
@@ -82,7 +86,7 @@ def test_culled_standard_scene_looks_the_same(index):
     # Labels pixel by pixel at 800x600; light with larger pixels, which have less noise.
     recipe = load_recipe("barth2018")
     frames, (complete, culled), _, _ = compare(recipe, index, 1, "draft", (1, 1))
-    assert_same_labels(frames, most=1e-6)
+    assert_same_labels(frames, ties=1)
     assert culled < 0.6 * complete
     _, _, squared, mean = compare(recipe, index, 4)
     assert squared < 0.1**2
