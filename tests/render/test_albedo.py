@@ -24,6 +24,7 @@ from pepperscene.render.aov import albedo
 from pepperscene.render.arrays import local_coordinates
 from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import light_scene
+from pepperscene.render.surface.normals import lost_light
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import assemble_scene
 from pepperscene.spectra import Spectrum, leaf_spectra
@@ -205,7 +206,10 @@ def reflectance_at_centres(scene, view):
     origin, direction = rays.centre_rays(column, row, mi.Float(0.5), mi.Float(0.5))
     active, si, hit = kernel_scene.intersect(mi.Ray3f(origin, direction, 0.0, mi.Spectrum(550.0)))
     point = kernel_scene.surface_point(si, hit, active)
-    values = dr.select(active, point.reflectance[0], dr.nan)
+    # Light between the normals of triangle and surface meets the body again: R = p / (1 - l p).
+    reflectance = point.reflectance[0]
+    content = reflectance / (1.0 + lost_light(point.frame, point.triangle) * reflectance)
+    values = dr.select(active, content, dr.nan)
     return np.array(values).reshape(view.height, view.width)
 
 

@@ -47,7 +47,7 @@ def channel_colours(surfaces: list[Surface], weights: np.ndarray) -> np.ndarray:
     surface, state = (part.ravel() for part in np.meshgrid(np.arange(len(surfaces)), STATES, indexing="ij"))
     body = dr.gather(mi.Vector4f, optics.bodies, mi.UInt32(surface.astype(np.uint32)))
     between = _between_states(body, mi.Float(state.astype(np.float32)))
-    place = BodyPlace(*between, body.w, 0.0, 0.0, True, 1.0)
+    place = BodyPlace(*between, body.w, 0.0, 0.0, True, 1.0, 0.0)
     parts = optics._body(place, optics._columns(None), mi.Bool(True))
     return np.array([np.asarray(part).T.reshape(len(surfaces), STATES.size, -1) for part in parts[:3]])
 
