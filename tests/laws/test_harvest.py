@@ -220,7 +220,7 @@ MANY = tuple(
     [
         pytest.param(FEW, 8, 80, 5, id="few"),
         pytest.param(LONG_FRUIT, 4, 60, 7, marks=pytest.mark.long, id="long fruit"),
-        pytest.param(MANY, 100, None, 6, marks=pytest.mark.long, id="many"),
+        pytest.param(MANY, 40, None, 6, marks=pytest.mark.long, id="many"),
     ],
 )
 def test_harvest_truth_equals_that_of_another_ray_caster(views, count, most, seed):
