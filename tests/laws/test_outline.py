@@ -106,7 +106,7 @@ def test_no_light_leaves_between_the_normals_of_triangle_and_surface(albedo):
     # Of a matt body, (1 - cos t) / 2 of the light is below a plane that is turned by t. It meets the body
     # again, so p (1 - l) / (1 - l p) leaves in the end.
     mi, dr = mitsuba_modules()
-    turn, count = math.radians(35.0), 1 << 14
+    turn, count = math.radians(25.0), 1 << 14
     body = Surface("matt", RANGE_NM, np.full((1, 2, 2), albedo), np.zeros((1, 2)), 1.0, (0.3, 0.3))
     optics = Optics.pack([body], *RANGE_NM)
     si = dr.zeros(mi.SurfaceInteraction3f, count)

@@ -147,7 +147,7 @@ def test_sun_that_is_too_low_for_its_light_is_an_error():
 
 FLASHES, FILTERS = (["none", *shipped_names(kind)] for kind in ("flashes", "filters"))
 COMBINATIONS = list(itertools.product(shipped_names("sensors"), FLASHES, FILTERS, [{}, NIGHT]))
-STEP = 17
+STEP = 19
 """Chosen: coprime to the numbers of devices, so that each is tested with many others; all combinations take
 more than twenty minutes."""
 
@@ -169,5 +169,4 @@ def test_shipped_devices_work_together_or_are_refused(tmp_path, steps, first):
         except InputError as error:
             assert "\n" not in str(error)  # noqa: PT017 - either is right
             assert not (folder / "out").exists()
-    # Sensors with bands and line scanners have no colour, infrared light has no white.
-    assert made > len(combinations) // 4
+    assert made > len(combinations) // 3

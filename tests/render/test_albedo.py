@@ -24,7 +24,7 @@ from pepperscene.render.aov import albedo
 from pepperscene.render.arrays import local_coordinates
 from pepperscene.render.kernel.camera import camera_rays
 from pepperscene.render.kernel.scene import light_scene
-from pepperscene.render.surface.normals import lost_light
+from pepperscene.render.surface.normals import lost_fraction
 from pepperscene.render.variant import mitsuba_modules
 from pepperscene.scene import assemble_scene
 from pepperscene.spectra import Spectrum, leaf_spectra
@@ -208,7 +208,7 @@ def reflectance_at_centres(scene, view):
     point = kernel_scene.surface_point(si, hit, active)
     # Light between the normals of triangle and surface meets the body again: R = p / (1 - l p).
     reflectance = point.reflectance[0]
-    content = reflectance / (1.0 + lost_light(point.frame, point.triangle) * reflectance)
+    content = reflectance / (1.0 + lost_fraction(point.frame, point.triangle) * reflectance)
     values = dr.select(active, content, dr.nan)
     return np.array(values).reshape(view.height, view.width)
 

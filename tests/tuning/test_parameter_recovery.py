@@ -33,7 +33,7 @@ from pepperscene.tuning.view_model import VIEW_QUALITY
 DRAWS = 8
 VIEWS = Quality(32, 32, 32, 1, target=None, denoise=False)
 """With the default of 16 samples, the noise of light shifts the spread of colours within dim organs by half a
-standard deviation, and a median error was 5.2 % instead of 3 %."""
+standard deviation: the median error of the third draw was 5.2 %."""
 SIGNIFICANCE = 1e-4
 """Of the tests of stated errors: correct ones fail once in ten thousand."""
 

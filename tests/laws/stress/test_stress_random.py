@@ -108,7 +108,7 @@ def assert_light_needs_a_hit(light) -> None:
 
 @pytest.mark.parametrize(
     ("count", "quality", "seed"),
-    [(25, "draft", 1), (10, "standard", 1), pytest.param(60, "draft", 2, marks=pytest.mark.long)],
+    [(40, "draft", 1), (30, "standard", 1), pytest.param(60, "draft", 2, marks=pytest.mark.long)],
 )
 def test_random_scenes_give_valid_frames(count, quality, seed, monkeypatch):
     traced, denoised = [], strips.denoised
@@ -128,6 +128,6 @@ def test_random_scenes_give_valid_frames(count, quality, seed, monkeypatch):
         traced.clear()
         lit += bool(frame["electrons"].any())
         hit += bool(frame["class"].any())
-    # Enough scenes show something: half of many, but at least three of ten.
-    assert lit > 0.2 * count
-    assert hit > 0.1 * count
+    # Enough scenes show something.
+    assert lit > 0.4 * count
+    assert hit > 0.2 * count

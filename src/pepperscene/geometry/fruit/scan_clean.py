@@ -83,9 +83,9 @@ def clean_scan(path: Path, vertices: FloatArray, faces: IndexArray) -> CleanBody
     """
     import trimesh
 
-    nothing = InputError(path, f"has no triangle of three different corners; {ALLOWED_SCAN}")
+    no_triangles = InputError(path, f"has no triangle of three different corners; {ALLOWED_SCAN}")
     if len(faces) == 0:
-        raise nothing
+        raise no_triangles
     used = vertices[np.unique(faces)]
     low, high = used.min(axis=0), used.max(axis=0)
     extent = high - low
@@ -98,7 +98,7 @@ def clean_scan(path: Path, vertices: FloatArray, faces: IndexArray) -> CleanBody
     distinct = (mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1)
     mesh.update_faces(distinct & mesh.unique_faces())
     if len(mesh.faces) == 0:
-        raise nothing
+        raise no_triangles
     _keep_largest(path, mesh)
     trimesh.repair.fix_winding(mesh)
     mesh = _close_holes(path, mesh)

@@ -25,7 +25,7 @@ from pepperscene.materials import Surface
 from pepperscene.materials.gloss import BLUR_NODES, LARGEST_BLUR, TABLE_SIZE
 from pepperscene.materials.surface import AGEING_RANGE
 from pepperscene.render.arrays import channel_array, device_array, device_float, device_uint
-from pepperscene.render.surface.normals import lost_light
+from pepperscene.render.surface.normals import lost_fraction
 from pepperscene.render.surface.scanned_colours import ScannedColours
 from pepperscene.render.surface.scattering import (
     BodyPlace,
@@ -261,7 +261,7 @@ class Optics:
             cover_behind=cover_behind,
             in_front=in_front,
             leaving=dr.minimum(1.0, far.mean / near.mean),
-            lost=lost_light(frame, triangle),
+            lost=lost_fraction(frame, triangle),
             # Rounding may take the scanned black below 0.
             is_scanned=None if colour is None or self.scanned is None else colour.x > 0.5 * PIGMENTS,
             colour=colour,

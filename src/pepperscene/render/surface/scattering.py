@@ -46,8 +46,8 @@ conserve the energy of a matt body for every slope. All are reciprocal for direc
 surfaces, because l depends on the place alone. For a body under gloss, which sends less light to the horizon,
 l is an upper limit, and gloss below the smooth surface is still lost: together they change the light that a
 lossless surface sends out by less than 1.5 % (`tests/laws/test_furnace.py`).
-Directions between the normals of the smooth surface and of its triangle are dropped and made up for in the
-same way: such rays would enter an opaque body, or leave one.
+Directions above the smooth surface and below its triangle, or the other way round, cannot be used either:
+rays would enter an opaque body, or leave one. What they would carry is added in the same way.
 
 Gloss of a rough dielectric cuticle: two GGX lobes of the same index on fractions of its area.
 
@@ -72,7 +72,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 from pepperscene.materials.gloss import TABLE_SCALE, TABLE_SIZE
-from pepperscene.render.surface.normals import lost_light
+from pepperscene.render.surface.normals import lost_fraction
 from pepperscene.render.variant import mitsuba_modules
 
 
@@ -232,7 +232,7 @@ class SurfacePoint:
         surface, as a mean over the directions of view, which differ by their openness only. Between 0 and 1;
         1 for a lossless matt surface with any relief, and the reflectance of a grey card.
         """
-        return self.reflectance * (self.near.mean * (1.0 - lost_light(self.frame, self.triangle)))
+        return self.reflectance * (self.near.mean * (1.0 - lost_fraction(self.frame, self.triangle)))
 
     def _lobe_probabilities(self) -> Any:
         """Probabilities of the gloss and, if it is not chosen, of diffuse transmission.
@@ -336,7 +336,7 @@ class BodyPlace:
         cover, cover_behind: fractions of the front and of the back that residue covers.
         in_front: whether the viewer is on the front.
         leaving: fraction of the transmitted light that the other side lets out.
-        lost: fraction of the body's light that a relief sends below the horizon, or a triangle's normal.
+        lost: fraction of the body's light below the horizon of the smooth surface or of its triangle.
         is_scanned: whether a scan gives the colour; None if no organ has any.
         colour: linear sRGB of the scan.
         change: relative change of the body's reflectance by a fine texture, where the body absorbs all other
