@@ -90,7 +90,7 @@ def test_damaged_files_are_replaced(folder, damage):
 
 
 @pytest.mark.parametrize(
-    "content", [["subprocess.run", ["list", "true"]], ["array", "|O", 1], ["Renderer", 1]]
+    "content", [["subprocess.run", ["values", "true"]], ["arrays", "|O", [[1]]], ["Renderer", ["values", 1]]]
 )
 def test_files_hold_only_what_rows_consist_of(folder, content):
     grown = builder().scene(0, 0)

@@ -238,7 +238,7 @@ class FrameRenderer:
         setup = self.setups.at(spec)
         builder, others = self.builder(spec), self.frames_of_scene(spec)
         # Surfaces and sky do not depend on the row, whose contacts keep one core busy.
-        beside = FunctionWorker() if traced and builder.shares_work else None
+        beside = FunctionWorker() if traced and builder.shares_work(spec.set, spec.rotation) else None
         optics = functools.partial(self._optics, spec, setup, others)
         with beside or nullcontext(), ThreadPoolExecutor(1) as pool:
             pending = None

@@ -13,12 +13,13 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from enum import IntEnum
 from functools import cache
 from importlib.metadata import version
+from itertools import accumulate, chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
@@ -42,6 +43,7 @@ MOST_BYTES: Final = 2_000_000_000
 
 _SUFFIX: Final = ".row"
 _CHECKSUM: Final = 32  # bytes
+_PLAIN: Final = frozenset({type(None), bool, int, float, str})  # types that JSON has
 _GROWING: Final = (
     "classes.py", "units.py", "recipe/plan.py", "building/scenes", "cultivar", "geometry", "grammar", "scene",
 )  # fmt: skip
@@ -78,11 +80,7 @@ class RowCache:
 
     def get(self, make: Callable[[], Content], *address: object) -> Content:
         """What `make` returns, from the folder if it is there, else made and stored."""
-        path = None
-        # A scan that cannot be read fails where it is needed; and not every user has a home.
-        with suppress(PepperError, OSError, RuntimeError):
-            folder = cache_folder()
-            path = None if folder is None else folder / f"{self._key(address)}{_SUFFIX}"
+        path = self._path(address)
         if path is None:
             return make()
         # Whatever a damaged file raises, its content is made anew.
@@ -93,6 +91,19 @@ class RowCache:
         with suppress(PepperError, OSError, ValueError):
             self._write(path, content)
         return content
+
+    def has(self, *address: object) -> bool:
+        """Whether the folder has a content."""
+        path = self._path(address)
+        return path is not None and path.is_file()
+
+    def _path(self, address: tuple[object, ...]) -> Path | None:
+        """The file of a content, or None for none."""
+        # A scan that cannot be read fails where it is needed; and not every user has a home.
+        with suppress(PepperError, OSError, RuntimeError):
+            if (folder := cache_folder()) is not None:
+                return folder / f"{self._key(address)}{_SUFFIX}"
+        return None
 
     def _key(self, address: tuple[object, ...]) -> str:
         """Digest of everything that a content depends on."""
@@ -109,13 +120,14 @@ class RowCache:
             raise ValueError("a damaged file")
         # The length of the JSON text, the text, and the arrays.
         start = 8 + int.from_bytes(body[:8], "little")
-        loaded = _Decoder(body[start:], self._classes, self._cultivar).value(json.loads(bytes(body[8:start])))
+        decoder = _Decoder(body[start:], self._classes, self._cultivar)
+        (loaded,) = decoder.column(json.loads(bytes(body[8:start])))
         os.utime(path)  # what is used last goes last
         return loaded
 
     def _write(self, path: Path, content: object) -> None:
         arrays: list[NDArray[Any]] = []
-        text = json.dumps(self._encoded(content, arrays), separators=(",", ":"), allow_nan=False).encode()
+        text = json.dumps(self._column([content], arrays), separators=(",", ":"), allow_nan=False).encode()
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         remove_temporary_files(path.parent)
         checksum = hashlib.blake2b(digest_size=_CHECKSUM)
@@ -126,30 +138,61 @@ class RowCache:
             file.write(checksum.digest())
         _remove_oldest(path.parent)
 
-    def _encoded(self, value: Any, arrays: list[NDArray[Any]]) -> Any:
-        """A value for JSON: all but numbers and texts are lists with a kind; arrays are appended."""
-        if value is None or isinstance(value, bool | float | str) or type(value) is int:
-            return value
+    def _column(self, values: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Any]:
+        """Values for JSON, as a list that begins with their kind; their arrays are appended to `arrays`.
+
+        Fields of dataclasses become columns, because a row has many small objects of few classes.
+        """
+        if _PLAIN.issuperset(map(type, values)):
+            return ["values", *values]
+        kinds = [self._kind(value) for value in values]
+        kind, *others = dict.fromkeys(kinds)
+        if others:
+            parts: dict[str, list[Any]] = {name: [] for name in (kind, *others)}
+            for name, value in zip(kinds, values, strict=True):
+                parts[name].append(value)
+            numbers = {name: number for number, name in enumerate(parts)}
+            order = [numbers[name] for name in kinds]
+            return ["mixed", order, *(self._column(part, arrays) for part in parts.values())]
+        if kind == "number":
+            return ["values", *(value.item() for value in values)]
+        if kind.startswith("array "):
+            arrays.append(np.concatenate([array.ravel() for array in values]) if values[1:] else values[0])
+            return ["arrays", values[0].dtype.str, [array.shape for array in values]]
+        if kind == "cultivar":
+            return [kind, len(values)]
+        if kind == "path":
+            return [kind, *map(str, values)]
+        if kind in ("tuple", "list", "dict"):
+            items = [list(chain.from_iterable(values))]
+            if kind == "dict":
+                items.append([item for value in values for item in value.values()])
+            return [kind, list(map(len, values)), *(self._column(column, arrays) for column in items)]
+        if issubclass(self._classes[kind], IntEnum):
+            return [kind, *map(int, values)]
+        names = [field.name for field in fields(cast(Any, values[0]))]
+        return [kind, *(self._column([getattr(value, name) for value in values], arrays) for name in names)]
+
+    def _kind(self, value: Any) -> str:
+        """What values are stored together with this one."""
+        if type(value) in _PLAIN:
+            return "values"
         if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-            arrays.append(value)
-            return ["array", value.dtype.str, *value.shape]
+            return f"array {value.dtype.str}"
         if isinstance(value, np.generic):
-            return value.item()
-        if isinstance(value, tuple | list):
-            return [type(value).__name__, *(self._encoded(item, arrays) for item in value)]
+            return "number"
         if isinstance(value, Mapping):
-            return ["dict", *([key, self._encoded(item, arrays)] for key, item in value.items())]
+            return "dict"
         if isinstance(value, Path):
-            return ["path", str(value)]
+            return "path"
+        if type(value) in (tuple, list):
+            return type(value).__name__
         if type(value) is type(self._cultivar) and value == self._cultivar:
-            return ["cultivar"]
+            return "cultivar"
         name = type(value).__name__
         if self._classes.get(name) is not type(value):
             raise ValueError(f"a row with a {name} cannot be stored")
-        if isinstance(value, IntEnum):
-            return [name, int(value)]
-        names = [field.name for field in fields(cast(Any, value))]
-        return [name, *(self._encoded(getattr(value, one), arrays) for one in names)]
+        return name
 
 
 class _Decoder:
@@ -159,28 +202,38 @@ class _Decoder:
         self._data, self._classes, self._cultivar = data, classes, cultivar
         self._start = 0
 
-    def value(self, encoded: Any) -> Any:
-        """The value; arrays follow each other in the data in the same order."""
-        if not isinstance(encoded, list):
-            return encoded
+    def column(self, encoded: list[Any]) -> list[Any]:
+        """The values; arrays follow each other in the data in the same order."""
         kind, *rest = encoded
-        if kind == "array":
-            return self._array(np.dtype(rest[0]), tuple(rest[1:]))
-        if kind == "dict":
-            return {key: self.value(item) for key, item in rest}
-        if kind == "path":
-            return Path(rest[0])
+        if kind == "values":
+            return rest
+        if kind == "arrays":
+            return self._arrays(np.dtype(rest[0]), rest[1])
+        if kind == "mixed":
+            parts = [iter(self.column(part)) for part in rest[1:]]
+            return [next(parts[number]) for number in rest[0]]
         if kind == "cultivar":
-            return self._cultivar
-        items = [self.value(item) for item in rest]
-        if kind in ("tuple", "list"):
-            return tuple(items) if kind == "tuple" else items
-        return self._classes[kind](*items)
+            return [self._cultivar] * rest[0]
+        if kind == "path":
+            return [Path(text) for text in rest]
+        if kind in ("tuple", "list", "dict"):
+            items: Iterator[Any] = zip(*map(self.column, rest[1:]), strict=True)
+            if kind == "dict":
+                return [dict(islice(items, length)) for length in rest[0]]
+            made = tuple if kind == "tuple" else list
+            return [made(item for (item,) in islice(items, length)) for length in rest[0]]
+        cls = self._classes[kind]
+        if issubclass(cls, IntEnum):
+            return [cls(number) for number in rest]
+        return [cls(*values) for values in zip(*map(self.column, rest), strict=True)]
 
-    def _array(self, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-        start, self._start = self._start, self._start + dtype.itemsize * math.prod(shape)
+    def _arrays(self, dtype: np.dtype[Any], shapes: list[list[int]]) -> list[NDArray[Any]]:
+        ends = list(accumulate(math.prod(shape) for shape in shapes))
+        start, self._start = self._start, self._start + dtype.itemsize * ends[-1]
         # A copy, which can be written to and does not hold the rest of the file.
-        return np.frombuffer(self._data[start : self._start], dtype).reshape(shape).copy()
+        joined = np.frombuffer(self._data[start : self._start], dtype).copy()
+        starts = (0, *ends[:-1])
+        return [joined[a:b].reshape(shape) for a, b, shape in zip(starts, ends, shapes, strict=True)]
 
 
 def _remove_oldest(folder: Path) -> None:

@@ -218,10 +218,20 @@ class SceneBuilder:
             )
         return self._set[1]
 
-    @property
-    def shares_work(self) -> bool:
-        """Whether another process takes a part of the work: with two processes, and plants enough."""
-        return self._processes == 2 and self.row.plants_front + self.row.plants_back >= MIN_SHARED_PLANTS
+    def leaf_area_index(self, set_index: int) -> float:
+        """That of the crop, by the leaves of a set's plants."""
+        from pepperscene.scene import leaf_area_index
+
+        def measured() -> float:
+            meshes = [plant.mesh for plant in self.plants(set_index)]
+            return leaf_area_index(meshes, self.row, self.greenhouse)
+
+        return self._cache.get(measured, "leaf area index", set_index)
+
+    def shares_work(self, set_index: int, rotation: int) -> bool:
+        """Whether another process takes a part of the work of `scene`."""
+        has_plants = self.row.plants_front + self.row.plants_back >= MIN_SHARED_PLANTS
+        return self._processes == 2 and has_plants and not self._cache.has("scene", set_index, rotation)
 
     @cached_property
     def far_models(self) -> list[Mesh]:

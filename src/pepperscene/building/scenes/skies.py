@@ -17,13 +17,12 @@ def sky_above(builder: SceneBuilder, setup: FrameSetup, spec: FrameSpec, **light
 
     `light` is as of `partly_cloudy_sky`.
     """
-    from pepperscene.scene import leaf_area_index, partly_cloudy_sky
+    from pepperscene.scene import partly_cloudy_sky
 
-    plants = [plant.mesh for plant in builder.plants(spec.set)]
     return partly_cloudy_sky(
         random_generator(builder.recipe.seed, Stream.SKY, spec.set),
         cover=setup.cover,
-        leaf_area_index=leaf_area_index(plants, builder.row, builder.greenhouse),
+        leaf_area_index=builder.leaf_area_index(spec.set),
         **light,
     )
 
