@@ -5,13 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pepperscene as ps
 from pepperscene.building.scenes import row_cache, scene_builder
+from pepperscene.building.scenes.row_cache import RowCache
 from pepperscene.building.scenes.scene_builder import SceneBuilder
+from pepperscene.classes import OrganClass
+from pepperscene.geometry import ContactCounts
 
 CHANGES = {"row.plants_front": 1, "row.plants_back": 0, "cultivar": "kaite_february"}
 
@@ -60,6 +64,52 @@ def test_another_builder_takes_a_row_from_the_folder(folder, request):
     assert len(other.plants(0)) == 1
     assert other.scene(0, 0).mesh.cultivars[0] is other.cultivar
     assert files(folder) == before
+
+
+def test_a_stored_row_needs_no_plants(folder, monkeypatch):
+    first = builder()
+    row, leaf_area = first.scene(0, 0), first.leaf_area_index(0)
+    assert leaf_area > 0.0
+
+    def refuse(*_):
+        raise AssertionError("plants are read")
+
+    monkeypatch.setattr(SceneBuilder, "plants", refuse)
+    other = builder()
+    assert_equal_rows(other.scene(0, 0), row)
+    assert other.leaf_area_index(0) == leaf_area
+
+
+def test_the_work_of_a_row_is_shared_until_it_is_stored(folder):
+    recipe = ps.load_recipe("barth2018", CHANGES | {"row.plants_front": scene_builder.MIN_SHARED_PLANTS})
+    one = SceneBuilder(recipe, ps.load_cultivar(recipe.cultivar), processes=2)
+    assert one.shares_work(0, 0)
+    one.scene(0, 0)
+    assert not one.shares_work(0, 0)
+    assert one.shares_work(0, 1)
+
+
+def test_values_of_all_kinds_are_stored(folder):
+    cultivar = ps.load_cultivar("kaite_february")
+    content = {
+        "empty": ((), [], {}, np.empty((0, 3))),
+        "mixed": [1, 2.5, None, True, "text", Path("a/b"), (1, (2, [3])), {"x": {}, "y": {"z": 1.5}}],
+        "arrays": [np.arange(6).reshape(2, 3), np.float32([0.1]), np.array(4.0), np.array([True, False])],
+        "classes": (OrganClass.STEM, OrganClass.LEAF, ContactCounts(1, 2, 3, 4), cultivar),
+    }
+    for _ in range(2):
+        stored = RowCache(cultivar, (), (OrganClass, ContactCounts)).get(lambda: content, "kinds")
+    assert stored is not content
+    assert stored["classes"][3] is cultivar
+    for name in ("mixed", "classes"):
+        assert stored[name] == content[name]
+        assert list(map(type, stored[name])) == list(map(type, content[name]))
+    for got, given in zip(
+        stored["arrays"] + [stored["empty"][3]], [*content["arrays"], content["empty"][3]], strict=True
+    ):
+        np.testing.assert_array_equal(got, given, strict=True)
+        assert got.flags.writeable
+    assert stored["empty"][:3] == content["empty"][:3]
 
 
 @pytest.mark.parametrize("change", [{"seed": 7}, {"row.spacing_mm": 300}, {"cultivar": "kaite"}])
