@@ -43,7 +43,8 @@ class Quality:
         most_bounces: where that would lose much (see `transport.path_lengths`), paths go on until Russian
             roulette ends them, for up to this many bounces; 0 for `bounces` in all frames.
         target: standard error of a pixel's mean over the sensor noise at that signal, at which sampling
-            stops; None for `samples` in every pixel.
+            stops; None for `samples` in every pixel, or more where direct light has more noise than is in
+            balance with light that is gathered in several `directions`.
         denoise: whether indirect light is denoised.
         integrator: "flash" for `pepperscene.render.transport.trace`, which traces daylight too; "path" for
             Mitsuba's own path tracer with `samples` in every pixel, the reference to compare with.
@@ -114,7 +115,7 @@ QUALITIES: Final[Mapping[str, Quality]] = {
     "draft": Quality(
         samples=4,
         soft=1,
-        most=8,
+        most=64,
         bounces=1,
         target=None,
         denoise=True,
@@ -125,7 +126,7 @@ QUALITIES: Final[Mapping[str, Quality]] = {
     "standard": Quality(
         samples=4,
         soft=2,
-        most=64,
+        most=256,
         bounces=2,
         target=0.15,
         denoise=True,

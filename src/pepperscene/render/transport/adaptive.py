@@ -148,11 +148,14 @@ the denoiser loses does not fall as the noise does. Measured on frame 0 of `gree
 for 1 and for 8 samples."""
 _INDIRECT_COST: Final = 18.0
 """Time of a sample of indirect light over that of a further one of direct light; measured: 15 to 23."""
+_GATHERED_COST: Final = 9.0
+"""The same for gathered light, the cells included; measured for two directions on frame 0 of `greenhouse`."""
 _BALANCE_STEPS: Final = 3  # chosen: the next step would change the number of samples by some per cent
 _GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel grow in one round
 _SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
 _MAX_ERROR: Final = 127.5
 """Codes: error of a pixel of unknown value. Near the sun the tone curve's slope would give thousands."""
+_TINY: Final = 1e-30  # of an image without noise
 _MAX_DIFFERENCE: Final = 510.0  # chosen: codes between samples, from black to overexposed
 
 
@@ -161,7 +164,8 @@ class AdaptiveSampler:
 
     Args:
         camera: that takes the image.
-        target: error over noise, root mean square in codes; None for a fixed number of samples.
+        target: error over noise, root mean square in codes; None for a fixed number of samples, or for direct
+            light in balance with gathered light.
         max_samples: per pixel.
         denoised: whether indirect light will be denoised.
         gathered: whether indirect light is gathered in several directions; without the denoiser it is as any.
@@ -184,26 +188,23 @@ class AdaptiveSampler:
 
     def required(self, accumulator: SampleAccumulator) -> NDArray[np.int32]:
         """`(h * w,)` number of samples that each pixel should have by now."""
-        if self.target is None:
-            return accumulator.samples
+        taken, count = accumulator.samples, accumulator.indirect_samples
+        if self.target is None and not self._gathered:
+            return taken
         # The first samples are enough to estimate how light appears in the image.
         codes = self._code_response(accumulator.total, accumulator.white)
-        direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE)
+        direct = codes.squared(_local_mean(accumulator.direct_variance()), _MAX_DIFFERENCE).ravel()
         indirect = codes.squared(accumulator.indirect_variance(), _MAX_DIFFERENCE)
-        # Direct light may have the error that indirect light leaves of the target, at least half of it.
-        count = accumulator.indirect_samples
         remaining = float(np.mean(indirect)) * self._indirect_factor(accumulator.indirect_share(), count)
-        allowed = self.target**2 * float(np.mean(np.square(codes.noise)))
-        left = max(allowed - remaining, 0.5 * allowed)
-        wanted = self._distribute(direct.ravel(), left)
-        if remaining > allowed:
-            # The target cannot be met, and more direct samples than in balance would be wasted.
-            power = 0.5 if self._gathered else 1.0
-            for _ in range(_BALANCE_STEPS):
-                balanced = remaining * balanced_share(float(wanted.mean()), count, power)
-                wanted = self._distribute(direct.ravel(), max(left, balanced))
+        allowed = (self.target or 0.0) ** 2 * float(np.mean(np.square(codes.noise)))
+        # Direct light may have the error that indirect light leaves of the target, at least half of it.
+        wanted = self._distribute(direct, max(allowed - remaining, 0.5 * allowed))
+        if self.target is None or remaining > allowed:
+            # There is no target, or it cannot be met: more direct samples than in balance are wasted.
+            power, cost = (0.5, _GATHERED_COST) if self._gathered else (1.0, _INDIRECT_COST)
+            balanced = balanced_samples(direct, remaining, taken, cost * count, power)
+            wanted = np.minimum(wanted, self._powers_of_two(balanced))
         # Never fewer than are taken, and not many more at once: their variance is only estimated.
-        taken = accumulator.samples
         limit = np.minimum(taken * _GROWTH, np.maximum(self.max_samples, taken))
         return np.clip(wanted, taken, limit).astype(np.int32)
 
@@ -242,13 +243,16 @@ class AdaptiveSampler:
             self._codes = code_response(signal(), white, self.camera, self._rows)
         return self._codes
 
-    def _distribute(self, variance: Floats, allowed: float) -> NDArray[np.float32]:
+    def _distribute(self, variance: Floats, allowed: float) -> Floats:
         """Powers of two whose mean variance is the allowed one, with the fewest samples."""
         # An odd step does not follow the columns of an image, whose width is even.
         subset = variance[:: variance.size // _SUBSET | 1]
         scale = _variance_scale(subset, allowed, self.max_samples)
-        # n^(5/2) is proportional to the variance; powers of two keep the samples of each pixel a net.
-        samples = np.power(np.maximum(scale * variance, 1e-9), 0.4)
+        # n^(5/2) is proportional to the variance.
+        return self._powers_of_two(np.power(scale * variance, 0.4))
+
+    def _powers_of_two(self, samples: Floats) -> Floats:
+        """Within the limits; they keep the samples of each pixel a net."""
         return np.exp2(np.rint(np.log2(np.clip(samples, 1.0, self.max_samples))))
 
 
@@ -304,20 +308,30 @@ def _mean_over_pixels(parts: Sequence[SamplingError], name: str) -> float:
     return first + sum((float(getattr(part, name)) - first) * (part.pixels / pixels) for part in parts)
 
 
-def balanced_share(direct_samples: float, indirect_samples: int, power: float = 1.0) -> float:
-    """Variance of direct over that of indirect light at which time^p times variance of the image is smallest.
+def balanced_samples(
+    variance: Floats, remaining: float, taken: NDArray[np.int32], indirect_time: float, power: float
+) -> Floats:
+    """`(n,)` samples of direct light at which time^power times the variance of the image is smallest.
 
-    With n direct samples, the time is proportional to c m + n, and the variance to a + b n^(-3/2); m is the
-    number of indirect samples and c their cost. The derivative of the product is 0 at b n^(-3/2) / a =
-    p n / (3/2 c m + (3/2 - p) n).
+    With n_p samples in pixel p, at least those that are taken, the time is proportional to T = t + <n_p>, and
+    the variance of the image is V = r + <v_p>, v_p = VARIANCE_GAIN s_p^2 n_p^(-3/2). The derivative of
+    T^power V by n_p is 0 at 3/2 v_p / n_p = power V / T.
 
     Args:
-        direct_samples: mean over the pixels.
-        indirect_samples: of each pixel.
-        power: p, by which the variance of indirect light falls as the number of its samples rises.
+        variance: s^2 of one sample, by pixel.
+        remaining: r, the variance of indirect light.
+        taken: samples of each pixel.
+        indirect_time: t, that of the indirect light of a pixel over that of a sample of direct light.
+        power: by which the variance of indirect light falls as its samples become more.
     """
-    time = 1.5 * _INDIRECT_COST * indirect_samples + (1.5 - power) * direct_samples
-    return power * direct_samples / time
+    least = taken.astype(np.float32)
+    wanted = least
+    for _ in range(_BALANCE_STEPS):
+        image = remaining + float(np.mean(VARIANCE_GAIN * variance * wanted**-1.5))
+        per_sample = power * image / (indirect_time + float(wanted.mean()))
+        balanced = np.power(1.5 * VARIANCE_GAIN / max(per_sample, _TINY) * variance, 0.4)
+        wanted = np.maximum(balanced, least)
+    return np.asarray(balanced, np.float32)
 
 
 def denoised_error(share: float) -> float:
