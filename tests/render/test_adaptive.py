@@ -346,6 +346,10 @@ def test_black_and_overexposed_frames_stay_within_the_maximum():
         for level in (0.0, 50.0)
     )
     assert np.array_equal(sampler.required(black), black.samples)
+    for light in (black, white):
+        draft = AdaptiveSampler(camera, None, 64, denoised=True, gathered=True).required(light)
+        assert (draft >= light.samples).all()
+        assert draft.max() <= 64
     reported = sampler.metadata(black.light())
     names = "error_codes", "error_to_noise", "below_half_of_noise"
     assert [reported[name] for name in names] == [0.0, 0.0, 1.0]

@@ -155,7 +155,7 @@ _GROWTH: Final = 4  # chosen: largest factor by which the samples of a pixel gro
 _SUBSET: Final = 1 << 14  # chosen: pixels that the scale is computed from
 _MAX_ERROR: Final = 127.5
 """Codes: error of a pixel of unknown value. Near the sun the tone curve's slope would give thousands."""
-_TINY: Final = 1e-30  # of an image without noise
+_TINY: Final = 1e-30  # chosen: below any change of variance that matters, and above 0, for black images
 _MAX_DIFFERENCE: Final = 510.0  # chosen: codes between samples, from black to overexposed
 
 
