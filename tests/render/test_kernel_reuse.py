@@ -19,8 +19,8 @@ from pepperscene.scene import Sky, assemble_scene
 QUALITY = "draft"
 
 
-def count_compiled(render):
-    """Number of kernels that a render had to compile or load from disk."""
+def launched_kernels(render):
+    """The kernels that a render launched."""
     _, dr = mitsuba_modules()
     before = dr.flag(dr.JitFlag.KernelHistory)
     dr.set_flag(dr.JitFlag.KernelHistory, True)
@@ -32,7 +32,12 @@ def count_compiled(render):
         dr.kernel_history_clear()
         dr.set_flag(dr.JitFlag.KernelHistory, before)
     assert launched
-    return sum(not entry["cache_hit"] for entry in launched)
+    return launched
+
+
+def count_compiled(render):
+    """Number of kernels that a render had to compile or load from disk."""
+    return sum(not entry["cache_hit"] for entry in launched_kernels(render))
 
 
 def half_resolution(sky):
@@ -72,6 +77,15 @@ def test_another_scene_compiles_nothing(first, number):
 def test_another_image_size_pose_or_seed_compiles_nothing(first):
     for view in (camera(columns=84, rows=63), camera(0)):
         assert count_compiled(lambda view=view: first.render(view, DEFAULT_OUTPUTS, QUALITY, 77)) == 0
+
+
+def test_a_small_image_by_daylight_takes_no_more_launches_than_a_large_one(first):
+    # The paths that fill the cache of light are one wavefront, of many samples in few pixels.
+    small, large = (
+        launched_kernels(lambda view=view: first.render(view, ["electrons"], QUALITY, 5))
+        for view in (camera(columns=8, rows=6, flash=False), camera(columns=160, rows=120, flash=False))
+    )
+    assert len(small) <= 2 * len(large)
 
 
 @pytest.mark.parametrize(("shape", "dtype"), [((1,), np.float32), ((2,), np.uint32), ((1001, 3), np.float32)])

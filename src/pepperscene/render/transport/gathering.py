@@ -78,21 +78,22 @@ def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, paths: 
         tables: of the frame.
         lengths: `bounces` and `most_bounces` of `Sampling`.
         seed: of the frame's samples.
-        paths: about how many; a pass has as many at most.
+        paths: about how many, in one wavefront.
     """
     mi, dr = mitsuba_modules()
+    raise_if_interrupted()
     cells, pixels = tables.scene.cells, tables.rays.width * tables.rays.height
-    step = -(-pixels // paths)
-    arrived = []
-    for index in range(max(paths // pixels, 1)):
-        raise_if_interrupted()
-        pixel = dr.arange(mi.UInt32, -(-pixels // step)) * device_uint(step)
-        samples = Samples(tables, pixel, device_uint(index), device_uint((seed ^ _SALT) & 0xFFFFFFFF))
-        values = _second_light(tables, samples, lengths)
-        dr.eval(values)
-        is_hit = np.asarray(values[0]) < 2 * cells.count
-        arrived.append([np.asarray(part)[..., is_hit] for part in values])
-    return light_cache(cells, *(np.concatenate(parts, axis=-1) for parts in zip(*arrived, strict=True)))
+    # A large image has a path in every `step`-th pixel, a small one has several in each.
+    step, per_pixel = -(-pixels // paths), max(paths // pixels, 1)
+    with_paths = -(-pixels // step)
+    lane, count = dr.arange(mi.UInt32, with_paths * per_pixel), device_uint(with_paths)
+    index = lane // count
+    pixel = (lane - index * count) * device_uint(step)
+    samples = Samples(tables, pixel, index, device_uint((seed ^ _SALT) & 0xFFFFFFFF))
+    values = _second_light(tables, samples, lengths)
+    dr.eval(values)
+    is_hit = np.asarray(values[0]) < 2 * cells.count
+    return light_cache(cells, *(np.asarray(part)[..., is_hit] for part in values))
 
 
 def _second_light(tables: FrameTables, samples: Samples, lengths: tuple[int, int]) -> tuple[Any, Any, Any]:
