@@ -147,9 +147,17 @@ def near_point_spread(camera: Camera, reach: int) -> NDArray[np.floating]:
     """
     if not camera.developing.stray_light:
         return np.pad(np.ones((1, 1)), reach)
-    quarter = point_spread(*_optics(camera), (reach, reach))
+    return _near_spread(_optics(camera), reach)
+
+
+@lru_cache(maxsize=2)
+def _near_spread(optics: tuple[StrayLight, float, float, float], reach: int) -> NDArray[np.floating]:
+    """As `near_point_spread`; read-only, and shared by all frames of a camera."""
+    quarter = point_spread(*optics, (reach, reach))
     distance = np.abs(np.arange(-reach, reach + 1))
-    return quarter[distance[:, None], distance]
+    spread = quarter[distance[:, None], distance]
+    spread.setflags(write=False)
+    return spread
 
 
 def add_stray_light(electrons: ArrayLike, camera: Camera) -> NDArray[np.floating]:
