@@ -72,13 +72,17 @@ def test_means_are_drawn_to_those_of_larger_cells():
     front = shrunk(6.0, 4.0, shrunk(6.0, 4.0, shrunk(6.0, 4.0, scene)))
     back = shrunk(1.0, 2.0, scene)
     above = shrunk(1.0, 2.0, shrunk(1.0, 2.0, back))
-    # Each sample predicted from the others: of two on the front, and of one that is alone.
-    predicted = [2.0 * shrunk(2.0, 2.0, front), 2.0 * shrunk(4.0, 2.0, front), 2.0 * above]
-    ratios = ratios / (7.0 / sum(predicted))
-    assert ratios[0, 0] == pytest.approx(shrunk(6.0, 4.0, front))
-    assert ratios[1, 0] == pytest.approx(front)
-    assert ratios[2, 1] == pytest.approx(shrunk(1.0, 2.0, above))
-    assert ratios[0, 1] == pytest.approx(back)
+
+    # Each sample predicted from the others alone: either of two on the front, and the one that is alone.
+    def front_by(light: float) -> float:
+        rest = (light + 1.0) / 4.0  # of the scene
+        return shrunk(light, 2.0, shrunk(light, 2.0, shrunk(light, 2.0, shrunk(light, 2.0, rest))))
+
+    gain = 7.0 / (2.0 * (front_by(2.0) + front_by(4.0) + 6.0 / 4.0))
+    assert ratios[0, 0] == pytest.approx(gain * shrunk(6.0, 4.0, front))
+    assert ratios[1, 0] == pytest.approx(gain * front)
+    assert ratios[2, 1] == pytest.approx(gain * shrunk(1.0, 2.0, above))
+    assert ratios[0, 1] == pytest.approx(gain * back)
     assert np.asarray(cache.ratios).reshape(-1, 4).std(axis=1) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -87,3 +91,19 @@ def test_without_samples_all_cells_are_black():
     empty = np.zeros((4, 0), np.float32)
     cache = light_cache(SurfaceCells(None, 1, parents), np.zeros(0, np.uint32), empty, empty)
     assert not np.asarray(cache.ratios).any()
+
+
+def test_few_samples_make_the_light_neither_less_nor_more():
+    # Cells with much light are seen more often, and have two samples in the mean; see `light_cache`.
+    rng = np.random.default_rng(4)
+    parents = (np.repeat(np.arange(500), 8), np.repeat(np.arange(100), 5), np.zeros(100, int))
+    light = rng.gamma(0.5, 2.0, 4000) + 0.05
+    seen, ones, means = light / light.sum(), np.ones((4, 8000), np.float32), []
+    for _ in range(20):
+        cell = rng.choice(4000, 8000, p=seen)
+        samples = np.stack([light[cell].astype(np.float32)] * 4)
+        cache = light_cache(SurfaceCells(None, 4000, parents), (2 * cell).astype(np.uint32), samples, ones)
+        means.append(np.asarray(cache.ratios).reshape(4000, 2, 4)[:, 0, 0] @ seen / (light @ seen))
+    error = np.std(means) / 20**0.5
+    assert error < 0.001
+    assert abs(np.mean(means) - 1.0) < 4.0 * error

@@ -62,30 +62,36 @@ def light_cache(
         light: `(4, n)` light at the wavelengths of the samples.
         expected: `(4, n)` albedo times light source there.
     """
-    # The sums of each level, from the cells up.
+    # The sums of each level, from the cells up, and the place of each sample in them.
     number, front = np.divmod(side.astype(np.intp), 2)
-    sums = []
-    counts = [cells.count] + [int(parent.max()) + 1 for parent in cells.parents]
-    for level, count in enumerate(counts):
-        if level:
-            number = cells.parents[level - 1][number]
+    numbers, counts, levels = [number], [cells.count], []
+    for parent in cells.parents:
+        numbers.append(parent[numbers[-1]].astype(np.intp))
+        counts.append(int(parent.max()) + 1)
+    for number, count in zip(numbers, counts, strict=True):
         index = 2 * number + front
-        sums.append([_sums_by(index, part, 2 * count) for part in (light, expected)])
-    # The means, from the whole scene down.
-    total = np.maximum(expected.sum(axis=1, dtype=np.float64), _TINY)
-    weight = (_PARENT_SAMPLES * total / max(len(side), 1)).astype(np.float32)
-    ratio = np.broadcast_to((light.sum(axis=1, dtype=np.float64) / total).astype(np.float32), (1, 4))
-    for level in range(len(counts) - 1, -1, -1):
-        if level < len(counts) - 1:
+        levels.append((index, *(_sums_by(index, part, 2 * count) for part in (light, expected))))
+    # The means, from the whole scene down; and, for each sample, those of all others.
+    light_sum, expected_sum = (part.sum(axis=1, dtype=np.float64) for part in (light, expected))
+    weight = (_PARENT_SAMPLES * np.maximum(expected_sum, _TINY) / max(len(side), 1)).astype(np.float32)
+    ratio = _ratio(light_sum, expected_sum)[None]
+    of_others = _ratio(light_sum - light.T, expected_sum - expected.T)
+    for level in range(len(levels) - 1, -1, -1):
+        if level < len(cells.parents):
             ratio = ratio.reshape(-1, 2, 4)[cells.parents[level]].reshape(-1, 4)
-        light_sum, expected_sum = sums[level]
-        parent, ratio = ratio, (light_sum + weight * ratio) / (expected_sum + weight)
-    # Each sample, predicted from the others.
-    parent = np.broadcast_to(parent, ratio.shape)[side]
-    others = (light_sum[side] - light.T + weight * parent) / (expected_sum[side] - expected.T + weight)
-    predicted = np.einsum("nk,kn->k", others, expected, dtype=np.float64)
-    ratio = ratio * (light.sum(axis=1, dtype=np.float64) / np.maximum(predicted, _TINY)).astype(np.float32)
-    return LightCache(cells, device_array(ratio))
+        index, light_sum, expected_sum = levels[level]
+        ratio = (light_sum + weight * ratio) / (expected_sum + weight)
+        of_others = (light_sum[index] - light.T + weight * of_others) / (
+            expected_sum[index] - expected.T + weight
+        )
+    # Without that of the sample itself in any level: it would seem that the means predict more than they do.
+    predicted = np.einsum("nk,kn->k", of_others, expected, dtype=np.float64)
+    gain = np.divide(light.sum(axis=1, dtype=np.float64), predicted, out=np.ones(4), where=predicted > 0.0)
+    return LightCache(cells, device_array(ratio * gain.astype(np.float32)))
+
+
+def _ratio(light: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.float32]:
+    return (light / np.maximum(expected, _TINY)).astype(np.float32)
 
 
 def _sums_by(index: NDArray[np.intp], values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
