@@ -32,6 +32,7 @@ from pepperscene.render.transport.adaptive import AdaptiveSampler
 from pepperscene.render.transport.denoise import denoised_indirect
 from pepperscene.render.transport.path_lengths import (
     has_mainly_daylight,
+    has_mainly_sun,
     needs_long_paths,
     surface_triangles,
 )
@@ -111,7 +112,7 @@ class KernelScene:
                 sky if part is None or part.has_daylight else None,
                 (quality.bounces, quality.most_bounces),
                 int(stream.generate_state(1)[0]),
-                quality.gathering(camera.width * camera.height),
+                quality.gathering(camera.width * camera.height, mainly_sun=has_mainly_sun(scene, response)),
             )
             lights.append(LightPart(light, None if part is None else part.share))
         return trace_in_strips(camera, quality, lights, is_divided=bool(parts))

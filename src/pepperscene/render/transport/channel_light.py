@@ -50,8 +50,10 @@ class ChannelLight:
         """What computes indirect light, with the light at second hits if it is gathered."""
         if self.gathering is None:
             return functools.partial(_indirect, lengths=self.lengths)
-        cache = fill_cache(self.tables, self.lengths, self.seed, self.gathering.paths)
-        return functools.partial(_gathered, cache=cache, directions=self.gathering.directions)
+        gathering = self.gathering
+        has_sun = not gathering.sun_at_hits
+        cache = fill_cache(self.tables, self.lengths, self.seed, gathering.paths, has_sun=has_sun)
+        return functools.partial(_gathered, cache=cache, directions=gathering.directions)
 
     def accumulator(self, height: int) -> SampleAccumulator:
         """An accumulator of this light in some rows, without samples."""

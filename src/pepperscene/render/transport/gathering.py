@@ -5,11 +5,12 @@ the paths are traced to their ends and fill a `LightCache`; the other rays take 
 from there.
 
 Where this differs from paths: the light of a cell of 3 cm is taken as even, over its area and over
-directions.
+directions. Where most light comes from the sun, each second hit has its own sunlight.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -64,14 +65,19 @@ def gathered_light(
         is_hit, second, hit = tables.scene.intersect(ray, going)
         light += weight * samples.sky_radiance(ray.d, going & ~is_hit, wavelengths.spectra, with_sun=False)
         is_hit &= going
-        albedo = tables.scene.surface_point(second, hit, is_hit, footprint=None).albedo()
+        second_point = tables.scene.surface_point(second, hit, is_hit, footprint=None)
         # Albedos of inactive lanes can be NaN, and 0 times NaN is NaN.
-        expected = dr.select(is_hit, albedo * wavelengths.source, 0.0)
+        expected = dr.select(is_hit, second_point.albedo() * wavelengths.source, 0.0)
         light += weight * cache.outgoing(second, hit, expected, is_hit)
+        if not cache.has_sun:
+            sunlight = samples.sun_light(second, second_point, is_hit, wavelengths.spectra)
+            light += weight * dr.select(is_hit, sunlight, 0.0)
     return light
 
 
-def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, paths: int) -> LightCache:
+def fill_cache(
+    tables: FrameTables, lengths: tuple[int, int], seed: int, paths: int, *, has_sun: bool
+) -> LightCache:
     """Trace paths through all of an image, and keep the light that arrives from their second hits.
 
     Args:
@@ -79,6 +85,7 @@ def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, paths: 
         lengths: `bounces` and `most_bounces` of `Sampling`.
         seed: of the frame's samples.
         paths: about how many, in one wavefront.
+        has_sun: whether sunlight that second hits receive is kept, too.
     """
     mi, dr = mitsuba_modules()
     raise_if_interrupted()
@@ -90,13 +97,16 @@ def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, paths: 
     index = lane // count
     pixel = (lane - index * count) * device_uint(step)
     samples = Samples(tables, pixel, index, device_uint((seed ^ _SALT) & 0xFFFFFFFF))
-    values = _second_light(tables, samples, lengths)
+    values = _second_light(tables, samples, lengths, has_sun)
     dr.eval(values)
     is_hit = np.asarray(values[0]) < 2 * cells.count
-    return light_cache(cells, *(np.asarray(part)[..., is_hit] for part in values))
+    cache = light_cache(cells, *(np.asarray(part)[..., is_hit] for part in values))
+    return replace(cache, has_sun=has_sun)
 
 
-def _second_light(tables: FrameTables, samples: Samples, lengths: tuple[int, int]) -> tuple[Any, Any, Any]:
+def _second_light(
+    tables: FrameTables, samples: Samples, lengths: tuple[int, int], has_sun: bool
+) -> tuple[Any, Any, Any]:
     """Sides of cells at second hits, light that leaves them, and albedo times light source there.
 
     The side is beyond the last one without a second hit. No path ends by Russian roulette before it:
@@ -115,7 +125,8 @@ def _second_light(tables: FrameTables, samples: Samples, lengths: tuple[int, int
     cells = tables.scene.cells
     side = dr.select(active, cells.at(si, hit, active), mi.UInt32(2 * cells.count))
     at_hit = si, point, active
-    lamps = samples.later_light(*at_hit, wavelengths.spectra)
+    spectra = wavelengths.spectra if has_sun else replace(wavelengths.spectra, sun=None)
+    lamps = samples.later_light(*at_hit, spectra)
     bounces, most = lengths
     light = scattered_light(tables, samples, wavelengths, at_hit, lamps, range(1, bounces + 1), most)
     expected = point.albedo() * wavelengths.source

@@ -37,10 +37,12 @@ class LightCache:
     Attributes:
         cells: of the scene.
         ratios: `(count * 4,)` on the device, by quarter of the wavelengths.
+        has_sun: whether sunlight that the cells receive is in them.
     """
 
     cells: SurfaceCells
     ratios: Any
+    has_sun: bool = True
 
     def outgoing(self, si: Any, hit: Any, expected: Any, active: Any) -> Any:
         """Light from surface interactions towards the viewer; `expected` as of `light_cache`."""

@@ -7,6 +7,7 @@ inside the rows of `greenhouse`, where most light has been scattered on its way 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -59,6 +60,16 @@ def has_mainly_daylight(scene: Scene, response: SpectralResponse) -> bool:
     """Whether there is no flash, or one that is weaker than all other light half a metre from it."""
     flash, daylight = _detected_light(scene, response)
     return bool(flash.sum() <= daylight.sum())
+
+
+def has_mainly_sun(scene: Scene, response: SpectralResponse) -> bool:
+    """Whether a level plane has more detected light from the sun than from the sky."""
+    if scene.sky is None or scene.sky.sun is None:
+        return False
+    detected = response.electrons_per_joule.sum(axis=1) * response.trapezoid_nm
+    without_sun = replace(scene.sky, sun=None)
+    sky, both = (detected @ _irradiance(light, response.grid_nm) for light in (without_sun, scene.sky))
+    return bool(both > 2.0 * sky)
 
 
 def surface_triangles(scene: Scene) -> NDArray[np.int64]:
