@@ -93,6 +93,12 @@ def test_without_samples_all_cells_are_black():
     assert not np.asarray(cache.ratios).any()
 
 
+def test_a_single_sample_is_the_light_of_all_cells():
+    parents, one = (np.array([0, 0]), np.array([0]), np.array([0])), np.ones((4, 1), np.float32)
+    cache = light_cache(SurfaceCells(None, 2, parents), np.zeros(1, np.uint32), 3.0 * one, 2.0 * one)
+    assert np.asarray(cache.ratios) == pytest.approx(1.5)
+
+
 def test_few_samples_make_the_light_neither_less_nor_more():
     # Cells with much light are seen more often, and have two samples in the mean; see `light_cache`.
     rng = np.random.default_rng(4)

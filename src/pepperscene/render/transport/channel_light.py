@@ -50,10 +50,8 @@ class ChannelLight:
         """What computes indirect light, with the light at second hits if it is gathered."""
         if self.gathering is None:
             return functools.partial(_indirect, lengths=self.lengths)
-        gathering = self.gathering
-        has_sun = not gathering.sun_at_hits
-        cache = fill_cache(self.tables, self.lengths, self.seed, gathering.paths, has_sun=has_sun)
-        return functools.partial(_gathered, cache=cache, directions=gathering.directions)
+        cache = fill_cache(self.tables, self.lengths, self.seed, self.gathering)
+        return functools.partial(_gathered, cache=cache, gathering=self.gathering)
 
     def accumulator(self, height: int) -> SampleAccumulator:
         """An accumulator of this light in some rows, without samples."""
@@ -145,11 +143,17 @@ def _indirect(
 
 
 def _gathered(
-    tables: FrameTables, samples: Samples, active: Any, si: Any, hit: Any, cache: LightCache, directions: int
+    tables: FrameTables,
+    samples: Samples,
+    active: Any,
+    si: Any,
+    hit: Any,
+    cache: LightCache,
+    gathering: Gathering,
 ) -> list[Any]:
     """As `_indirect`, with rays in several directions that end at second hits: c + 1 values."""
     wavelengths, si, point, light = first_point(tables, samples, active, si, hit)
-    light += gathered_light(tables, samples, wavelengths, (si, point, active), cache, directions)
+    light += gathered_light(tables, samples, wavelengths, (si, point, active), cache, gathering)
     return _integrated(tables, wavelengths, light)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.render.arrays import device_uint
+from pepperscene.render.quality import Gathering
 from pepperscene.render.transport.channel_paths import first_point, scattered_light
 from pepperscene.render.transport.light_cache import LightCache, light_cache
 from pepperscene.render.transport.lights import FrameTables
@@ -36,13 +37,14 @@ def gathered_light(
     wavelengths: SampleWavelengths,
     at_hit: tuple[Any, Any, Any],
     cache: LightCache,
-    directions: int,
+    gathering: Gathering,
 ) -> Any:
     """Light that first hits scatter, from the sky and from the cached light of second hits.
 
     `at_hit` are interactions, optical states, and which samples are active.
     """
     mi, dr = mitsuba_modules()
+    directions = gathering.directions
     si, point, active = at_hit
     light, lobe = mi.Spectrum(0.0), samples.next_1d()
     # A smooth surface shows the sky and the leaves around it: its gloss has rays of its own.
@@ -69,27 +71,25 @@ def gathered_light(
         # Albedos of inactive lanes can be NaN, and 0 times NaN is NaN.
         expected = dr.select(is_hit, second_point.albedo() * wavelengths.source, 0.0)
         light += weight * cache.outgoing(second, hit, expected, is_hit)
-        if not cache.has_sun:
+        if gathering.sun_at_hits:
             sunlight = samples.sun_light(second, second_point, is_hit, wavelengths.spectra)
             light += weight * dr.select(is_hit, sunlight, 0.0)
     return light
 
 
-def fill_cache(
-    tables: FrameTables, lengths: tuple[int, int], seed: int, paths: int, *, has_sun: bool
-) -> LightCache:
+def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, gathering: Gathering) -> LightCache:
     """Trace paths through all of an image, and keep the light that arrives from their second hits.
 
     Args:
         tables: of the frame.
         lengths: `bounces` and `most_bounces` of `Sampling`.
         seed: of the frame's samples.
-        paths: about how many, in one wavefront.
-        has_sun: whether sunlight that second hits receive is kept, too.
+        gathering: number of paths, which are one wavefront, and whether sunlight at second hits is left out.
     """
     mi, dr = mitsuba_modules()
     raise_if_interrupted()
     cells, pixels = tables.scene.cells, tables.rays.width * tables.rays.height
+    paths = gathering.paths
     # A large image has a path in every `step`-th pixel, a small one has several in each.
     step, per_pixel = -(-pixels // paths), max(paths // pixels, 1)
     with_paths = -(-pixels // step)
@@ -97,15 +97,14 @@ def fill_cache(
     index = lane // count
     pixel = (lane - index * count) * device_uint(step)
     samples = Samples(tables, pixel, index, device_uint((seed ^ _SALT) & 0xFFFFFFFF))
-    values = _second_light(tables, samples, lengths, has_sun)
+    values = _second_light(tables, samples, lengths, with_sun=not gathering.sun_at_hits)
     dr.eval(values)
     is_hit = np.asarray(values[0]) < 2 * cells.count
-    cache = light_cache(cells, *(np.asarray(part)[..., is_hit] for part in values))
-    return replace(cache, has_sun=has_sun)
+    return light_cache(cells, *(np.asarray(part)[..., is_hit] for part in values))
 
 
 def _second_light(
-    tables: FrameTables, samples: Samples, lengths: tuple[int, int], has_sun: bool
+    tables: FrameTables, samples: Samples, lengths: tuple[int, int], *, with_sun: bool
 ) -> tuple[Any, Any, Any]:
     """Sides of cells at second hits, light that leaves them, and albedo times light source there.
 
@@ -125,7 +124,7 @@ def _second_light(
     cells = tables.scene.cells
     side = dr.select(active, cells.at(si, hit, active), mi.UInt32(2 * cells.count))
     at_hit = si, point, active
-    spectra = wavelengths.spectra if has_sun else replace(wavelengths.spectra, sun=None)
+    spectra = wavelengths.spectra if with_sun else replace(wavelengths.spectra, sun=None)
     lamps = samples.later_light(*at_hit, spectra)
     bounces, most = lengths
     light = scattered_light(tables, samples, wavelengths, at_hit, lamps, range(1, bounces + 1), most)

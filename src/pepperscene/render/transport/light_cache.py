@@ -37,12 +37,10 @@ class LightCache:
     Attributes:
         cells: of the scene.
         ratios: `(count * 4,)` on the device, by quarter of the wavelengths.
-        has_sun: whether sunlight that the cells receive is in them.
     """
 
     cells: SurfaceCells
     ratios: Any
-    has_sun: bool = True
 
     def outgoing(self, si: Any, hit: Any, expected: Any, active: Any) -> Any:
         """Light from surface interactions towards the viewer; `expected` as of `light_cache`."""
@@ -86,7 +84,7 @@ def light_cache(
         of_others = (light_sum[index] - light.T + weight * of_others) / (
             expected_sum[index] - expected.T + weight
         )
-    # Without that of the sample itself in any level: it would seem that the means predict more than they do.
+    # What the means predict for the light of the samples, each by the others.
     predicted = np.einsum("nk,kn->k", of_others, expected, dtype=np.float64)
     gain = np.divide(light.sum(axis=1, dtype=np.float64), predicted, out=np.ones(4), where=predicted > 0.0)
     return LightCache(cells, device_array(ratio * gain.astype(np.float32)))
