@@ -108,12 +108,15 @@ class Detector(nn.Module):
 
 def find_objects(maps: ObjectMaps, size: tuple[int, int]) -> FoundObjects:
     """The objects of one image, of its maps `(1, ...)`; `size` is its height and width in pixels."""
-    centres = maps.centres[0].sigmoid()
+    centres = maps.centres[0]
     classes, height, width = centres.shape
 
-    # Peaks are the highest of 3 x 3 cells.
-    peaks = centres * (functional.max_pool2d(centres[None], 3, stride=1, padding=1)[0] == centres)
-    scores, order = peaks.flatten().topk(min(MOST_OBJECTS, classes * height * width))
+    # Peaks are the highest of 3 x 3 cells. Logits are compared, as different ones can have the same sigmoid.
+    is_peak = functional.max_pool2d(centres[None], 3, stride=1, padding=1)[0] == centres
+    peaks, order = (
+        centres.masked_fill(~is_peak, -math.inf).flatten().topk(min(MOST_OBJECTS, classes * height * width))
+    )
+    scores = peaks.sigmoid()
     labels, cells = order // (height * width), order % (height * width)
 
     # Boxes; one that repeats a more certain one of its class is dropped.
