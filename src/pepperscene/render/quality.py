@@ -99,15 +99,13 @@ class Quality:
 
         `mainly_sun` says whether most daylight comes from the sun, whose patches are smaller than cells. With
         a shadow ray for each second hit, frames 160 and 1 of `randomised` have 9 and 3 % less error for 5 %
-        more time, and state .97 and .90 instead of .65 and .82 of it: there the sun has .80 and .73 of the
-        light. Where it has .3 (`greenhouse`), and in drafts, the error is not less. Chosen: half.
+        more time: there the sun has .80 and .73 of the light. Where it has .3 (`greenhouse`), and in drafts,
+        the error is not less. Chosen: half.
         """
         if self.directions == 0:
             return None
-        sun_at_hits = mainly_sun and self.directions > 1
-        paths = max(int(self.soft * pixels * _PATHS_PER_SAMPLE), _LEAST_PATHS)
-        paths = min(paths * (_PATHS_IN_SUN if sun_at_hits else 1), _MOST_PATHS)
-        return Gathering(self.directions, paths, sun_at_hits)
+        paths = min(max(int(self.soft * pixels * _PATHS_PER_SAMPLE), _LEAST_PATHS), _MOST_PATHS)
+        return Gathering(self.directions, paths, mainly_sun and self.directions > 1)
 
 
 _SAMPLES_PER_SOFT: Final = 4
@@ -117,10 +115,6 @@ _PATHS_PER_SAMPLE: Final = 1 / 8
 """Paths that fill the cache for each sample of indirect light. Chosen: with twice as many, the error of a
 frame of `greenhouse` is 2 % less, for 15 % more time; with eight times as many 5 % less, for twice the
 time."""
-_PATHS_IN_SUN: Final = 4
-"""Times as many where second hits have sunlight of their own. Chosen: what patches of sunlight scatter
-further has more noise. Frame 110 of `randomised`, 400x300 pixels: 7.1 codes with twice as many, 6.8 with four
-times instead of 7.9, for 5 and 15 % more time; frame 160: 3.35 instead of 3.44."""
 _LEAST_PATHS, _MOST_PATHS = 1 << 17, 1 << 20
 """Chosen: fewer are a small part of a frame's time, and more would be a wavefront of their own."""
 _LONGEST: Final = 64
