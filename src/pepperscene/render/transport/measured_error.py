@@ -6,7 +6,7 @@ changed. They have no error but noise, so the product of two of their difference
 of the squared error. Stray light averages the errors of neighbours, which are alike: the differences are
 taken in pixels near each other, drawn as the point spread brings their light to the pixel that is tested.
 The error of the cells that light is gathered from is in all of them, and is not seen: mostly some per cent,
-but .3 of the error on frame 110 of `randomised`, whose paths have much noise.
+but a fifth to a third of the error on frame 110 of `randomised`, whose paths have much noise.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ CPU time for a draft and .7 s for `standard`."""
 _MEANS: Final = (4, 8)
 _MOST_SPREAD: Final = 0.2
 """Standard error of the squared error over itself, from which on all means are taken. Chosen: of the error it
-is half of that. Over five seeds the error of frame 110 of `randomised` varies by 9 % instead of
-35 to 50 % with two means, and that of frame 0 of `greenhouse` by 4 to 7 % (400x300 pixels)."""
+is half of that. Over five seeds the error of frame 110 of `randomised` varies by 7 to 8 %
+instead of 32 to 38 % with two means, and that of frame 0 of `greenhouse` by 4 to 7 % (400x300 pixels)."""
 _GOLDEN_RATIO: Final = 0.618034
 _STEP: Final = 0.125
 """Of a difference. Chosen: small beside the light, large beside the steps of a table of tones."""
