@@ -7,7 +7,7 @@ from bodies import body
 
 from pepperscene.geometry import Mesh, concatenate_meshes
 from pepperscene.render.kernel.cells import CELL_M, SurfaceCells, surface_cells
-from pepperscene.render.transport.light_cache import light_cache
+from pepperscene.render.transport.light_cache import PathLight, light_cache
 
 BITS = 28
 
@@ -61,7 +61,9 @@ def test_means_are_drawn_to_those_of_larger_cells():
     light = np.array([[4.0, 2.0, 1.0]] * 4, np.float32)
     expected = np.array([[2.0, 2.0, 2.0]] * 4, np.float32)
     # Samples: two on the front of cell 0, one on the back of cell 2.
-    cache = light_cache(SurfaceCells(None, 3, parents), np.array([0, 0, 5], np.uint32), light, expected)
+    cache = light_cache(
+        PathLight(SurfaceCells(None, 3, parents), np.array([0, 0, 5], np.uint32), light, expected)
+    )
     ratios = np.asarray(cache.ratios).reshape(3, 2, 4)[..., 0]
 
     def shrunk(light: float, expected: float, parent: float) -> float:
@@ -89,13 +91,14 @@ def test_means_are_drawn_to_those_of_larger_cells():
 def test_without_samples_all_cells_are_black():
     parents = (np.array([0]), np.array([0]), np.array([0]))
     empty = np.zeros((4, 0), np.float32)
-    cache = light_cache(SurfaceCells(None, 1, parents), np.zeros(0, np.uint32), empty, empty)
+    cache = light_cache(PathLight(SurfaceCells(None, 1, parents), np.zeros(0, np.uint32), empty, empty))
     assert not np.asarray(cache.ratios).any()
 
 
 def test_a_single_sample_is_the_light_of_all_cells():
     parents, one = (np.array([0, 0]), np.array([0]), np.array([0])), np.ones((4, 1), np.float32)
-    cache = light_cache(SurfaceCells(None, 2, parents), np.zeros(1, np.uint32), 3.0 * one, 2.0 * one)
+    paths = PathLight(SurfaceCells(None, 2, parents), np.zeros(1, np.uint32), 3.0 * one, 2.0 * one)
+    cache = light_cache(paths)
     assert np.asarray(cache.ratios) == pytest.approx(1.5)
 
 
@@ -108,8 +111,25 @@ def test_few_samples_make_the_light_neither_less_nor_more():
     for _ in range(20):
         cell = rng.choice(4000, 8000, p=seen)
         samples = np.stack([light[cell].astype(np.float32)] * 4)
-        cache = light_cache(SurfaceCells(None, 4000, parents), (2 * cell).astype(np.uint32), samples, ones)
+        cache = light_cache(
+            PathLight(SurfaceCells(None, 4000, parents), (2 * cell).astype(np.uint32), samples, ones)
+        )
         means.append(np.asarray(cache.ratios).reshape(4000, 2, 4)[:, 0, 0] @ seen / (light @ seen))
     error = np.std(means) / 20**0.5
     assert error < 0.001
     assert abs(np.mean(means) - 1.0) < 4.0 * error
+
+
+def test_a_cache_of_half_of_the_paths_differs_as_much_as_one_of_all_errs():
+    # Cells of one brightness, each with 512 paths, half of them in the half: larger cells have little weight.
+    rng, one = np.random.default_rng(5), np.float32(1.0)
+    parents = (np.repeat(np.arange(500), 8), np.repeat(np.arange(100), 5), np.zeros(100, int))
+    cell = np.repeat(np.arange(4000), 512)
+    light = np.stack([rng.exponential(one, cell.size).astype(np.float32)] * 4)
+    cells = SurfaceCells(None, 4000, parents)
+    paths = PathLight(cells, (2 * cell).astype(np.uint32), light, np.ones_like(light))
+    all_paths, half = (
+        np.asarray(light_cache(part).ratios).reshape(4000, 2, 4)[:, 0, 0] for part in (paths, paths.half())
+    )
+    # The two means of squares have a standard error of 2.2 % each.
+    assert np.mean((half - all_paths) ** 2) == pytest.approx(np.mean((all_paths - 1.0) ** 2), rel=0.13)

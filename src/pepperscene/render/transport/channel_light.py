@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from pepperscene.render.quality import Gathering
 from pepperscene.render.transport.accumulate import Images, SampleAccumulator, SampleSums, sum_samples
 from pepperscene.render.transport.channel_paths import first_point, scattered_light
-from pepperscene.render.transport.gathering import fill_cache, gathered_light
-from pepperscene.render.transport.light_cache import LightCache
+from pepperscene.render.transport.gathering import gathered_light, trace_paths
+from pepperscene.render.transport.light_cache import LightCache, PathLight, light_cache
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
@@ -50,8 +50,19 @@ class ChannelLight:
         """What computes indirect light, with the light at second hits if it is gathered."""
         if self.gathering is None:
             return functools.partial(_indirect, lengths=self.lengths)
-        cache = fill_cache(self.tables, self.lengths, self.seed, self.gathering)
-        return functools.partial(_gathered, cache=cache, gathering=self.gathering)
+        return functools.partial(_gathered, cache=light_cache(self._paths), gathering=self.gathering)
+
+    @functools.cached_property
+    def _independent_light(self) -> Callable[..., list[Any]]:
+        """The same for `independent`: of half of the paths, if light is gathered."""
+        if self.gathering is None:
+            return self._indirect_light
+        return functools.partial(_gathered, cache=light_cache(self._paths.half()), gathering=self.gathering)
+
+    @functools.cached_property
+    def _paths(self) -> PathLight:
+        assert self.gathering is not None
+        return trace_paths(self.tables, self.lengths, self.seed, self.gathering)
 
     def accumulator(self, height: int) -> SampleAccumulator:
         """An accumulator of this light in some rows, without samples."""
@@ -68,7 +79,7 @@ class ChannelLight:
 
         `number` is 0 or more; each has samples of its own.
         """
-        all_light, seed = functools.partial(_all_light, indirect=self._indirect_light), self.seed
+        all_light, seed = functools.partial(_all_light, indirect=self._independent_light), self.seed
         for _ in range(number + 1):
             # Any other seed gives other samples; a linear congruential step with chosen odd constants.
             seed = (seed * 0x9E3779B1 + 0x85EBCA6B) & 0xFFFFFFFF

@@ -19,7 +19,7 @@ from pepperscene.interrupts import raise_if_interrupted
 from pepperscene.render.arrays import device_uint
 from pepperscene.render.quality import Gathering
 from pepperscene.render.transport.channel_paths import first_point, scattered_light
-from pepperscene.render.transport.light_cache import LightCache, light_cache
+from pepperscene.render.transport.light_cache import LightCache, PathLight
 from pepperscene.render.transport.lights import FrameTables
 from pepperscene.render.transport.samples import TINY, Samples, SampleWavelengths
 from pepperscene.render.variant import mitsuba_modules
@@ -77,8 +77,8 @@ def gathered_light(
     return light
 
 
-def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, gathering: Gathering) -> LightCache:
-    """Trace paths through all of an image, and keep the light that arrives from their second hits.
+def trace_paths(tables: FrameTables, lengths: tuple[int, int], seed: int, gathering: Gathering) -> PathLight:
+    """Trace paths through all of an image, for the light that arrives from their second hits.
 
     Args:
         tables: of the frame.
@@ -100,7 +100,7 @@ def fill_cache(tables: FrameTables, lengths: tuple[int, int], seed: int, gatheri
     values = _second_light(tables, samples, lengths, with_sun=not gathering.sun_at_hits)
     dr.eval(values)
     is_hit = np.asarray(values[0]) < 2 * cells.count
-    return light_cache(cells, *(np.asarray(part)[..., is_hit] for part in values))
+    return PathLight(cells, *(np.asarray(part)[..., is_hit] for part in values))
 
 
 def _second_light(

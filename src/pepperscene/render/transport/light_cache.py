@@ -43,25 +43,39 @@ class LightCache:
     ratios: Any
 
     def outgoing(self, si: Any, hit: Any, expected: Any, active: Any) -> Any:
-        """Light from surface interactions towards the viewer; `expected` as of `light_cache`."""
+        """Light from surface interactions towards the viewer; `expected` as of `PathLight`."""
         mi, dr = mitsuba_modules()
         ratio = dr.gather(mi.Spectrum, self.ratios, self.cells.at(si, hit, active), active)
         return ratio * expected
 
 
-def light_cache(
-    cells: SurfaceCells, side: NDArray[np.uint32], light: NDArray[np.float32], expected: NDArray[np.float32]
-) -> LightCache:
-    """Average the samples of each side of a cell.
+@dataclass(frozen=True, eq=False)
+class PathLight:
+    """The light that leaves the second hits of paths.
 
-    Sums are taken one sample after the other, so that they have the same bits in each run.
-
-    Args:
+    Attributes:
         cells: of the scene.
-        side: `(n,)` sides that samples come from.
-        light: `(4, n)` light at the wavelengths of the samples.
+        side: `(n,)` sides of cells that the light leaves.
+        light: `(4, n)` light at the wavelengths of the paths.
         expected: `(4, n)` albedo times light source there.
     """
+
+    cells: SurfaceCells
+    side: NDArray[np.uint32]
+    light: NDArray[np.float32]
+    expected: NDArray[np.float32]
+
+    def half(self) -> PathLight:
+        """Every second path."""
+        return PathLight(self.cells, self.side[::2], self.light[:, ::2], self.expected[:, ::2])
+
+
+def light_cache(paths: PathLight) -> LightCache:
+    """Average the light of paths from each side of a cell.
+
+    Sums are taken one path after the other, so that they have the same bits in each run.
+    """
+    cells, side, light, expected = paths.cells, paths.side, paths.light, paths.expected
     # The sums of each level, from the cells up, and the place of each sample in them.
     number, front = np.divmod(side.astype(np.intp), 2)
     numbers, counts, levels = [number], [cells.count], []
