@@ -41,8 +41,9 @@ def test_small_triangles_share_cells_by_organ_and_cube():
         levels.append(parent[levels[-1]])
     assert partition(levels[0]) == expected(CELL_M, organ)
     assert cells.count == len(np.unique(entries)) == entries.max() + 1
-    for level, edge, group in zip(levels[1:], (0.15, 0.15, 0.45), (organ, 0 * organ, 0 * organ), strict=True):
-        assert partition(level) == expected(edge, group)
+    assert partition(levels[1]) == expected(0.15, organ)
+    for level, edge in zip(levels[2:], (0.15, 0.45, 1.35, 4.05), strict=True):
+        assert partition(level) == expected(edge, 0 * organ)
 
 
 def test_large_triangles_are_divided_evenly():

@@ -23,6 +23,7 @@ from pepperscene.render.variant import mitsuba_modules
 
 Images = NDArray[np.float32]
 Counts = NDArray[np.int32]
+Surfaces = NDArray[np.uint16]
 SampleSums = Sequence[Images | None]
 """Sums over samples, one `(n,)` array for each quantity; None for zeros."""
 
@@ -42,6 +43,8 @@ class TracedLight:
         normal: `(h, w, 3)` of the relief at the first hit, towards the camera, 0 without a hit.
         coverage: `(h, w, 2)` fraction of the samples that hit a surface: of all, and of the indirect ones.
         variance: between the samples.
+        surface: `(h, w)` number of the surface at each pixel's first sample, from 1, or 0 without a hit; for
+            the denoiser, where light is gathered, else None.
     """
 
     flash: Images
@@ -51,6 +54,7 @@ class TracedLight:
     normal: Images
     coverage: Images
     variance: SampleVariance
+    surface: Surfaces | None = None
 
     def total(self) -> Images:
         """`(h, w, c)` all light as traced."""
@@ -65,6 +69,7 @@ class GuidedLight:
     albedo: Images
     normal: Images
     coverage: Images
+    surface: Surfaces | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pepperscene.render.arrays import device_uint
 from pepperscene.render.quality import Gathering
-from pepperscene.render.transport.accumulate import Images, SampleAccumulator, SampleSums, sum_samples
+from pepperscene.render.transport.accumulate import (
+    Images,
+    SampleAccumulator,
+    SampleSums,
+    Surfaces,
+    sum_samples,
+)
 from pepperscene.render.transport.channel_paths import first_point, scattered_light
 from pepperscene.render.transport.gathering import gathered_light, trace_paths
 from pepperscene.render.transport.light_cache import LightCache, PathLight, light_cache
@@ -93,6 +100,19 @@ class ChannelLight:
         """Sums of all light over the first samples of all pixels, or of those within limits."""
         all_light = functools.partial(_all_light, indirect=self._indirect_light)
         return sum_samples(self.tables, None, 0, count, self.seed, all_light, within=within)
+
+    def first_surfaces(self, within: tuple[int, int]) -> Surfaces:
+        """`(n,)` number of the surface at the first sample of the pixels within limits, from 1, or 0."""
+        mi, dr = mitsuba_modules()
+        start, end = within
+        pixel = dr.arange(mi.UInt32, end - start) + device_uint(start)
+        samples = Samples(self.tables, pixel, mi.UInt32(0), device_uint(self.seed & 0xFFFFFFFF))
+        scene = self.tables.scene
+        hit = scene.scene.ray_intersect_preliminary(samples.ray, coherent=True)
+        is_hit, face = hit.is_valid(), hit.prim_index
+        dr.eval(is_hit, face)
+        number = scene.mesh.face_surface[np.where(is_hit, face, 0)] + 1
+        return np.where(is_hit, number, 0).astype(np.uint16)
 
 
 def _direct_light(tables: FrameTables, samples: Samples) -> list[list[Any]]:

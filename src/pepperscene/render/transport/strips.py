@@ -177,7 +177,7 @@ class StripDenoiser:
 
     def add(self, rows: slice, light: TracedLight) -> FinishedRows:
         """Take the light of the next strip; yield the rows that are finished, and all light in them."""
-        guided = GuidedLight(light.indirect, light.albedo, light.normal, light.coverage)
+        guided = GuidedLight(light.indirect, light.albedo, light.normal, light.coverage, light.surface)
         self._known.append((rows, guided))
         self._waiting.append((rows, light.flash + light.sky_and_sun))
         while self._waiting:
@@ -224,9 +224,8 @@ class StripDenoiser:
             inside = slice(max(rows.start, strip.start), min(rows.stop, strip.stop))
             if inside.start < inside.stop:
                 at = np.s_[inside.start - strip.start : inside.stop - strip.start, columns]
-                parts.append(
-                    [image[at] for image in (light.indirect, light.albedo, light.normal, light.coverage)]
-                )
+                images = light.indirect, light.albedo, light.normal, light.coverage, light.surface
+                parts.append([image[at] for image in images if image is not None])
         return GuidedLight(*(np.concatenate(images) for images in zip(*parts, strict=True)))
 
 

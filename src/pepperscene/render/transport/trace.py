@@ -205,8 +205,11 @@ def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None))
         remaining = sampling.samples - first
         accumulator.add_direct(light.sum_direct(None, first, remaining, within), remaining)
 
+    surface = None
+    if isinstance(light, ChannelLight) and light.gathering is not None:
+        surface = light.first_surfaces(within).reshape(bottom - top, width)
     if not light.tables.has_lights or sampling.required is None:
-        return accumulator.light()
+        return replace(accumulator.light(), surface=surface)
 
     # Each round estimates the need anew from all samples so far, and continues the sequences of pixels that
     # need more: those with the same first and last sample are traced together.
@@ -217,7 +220,7 @@ def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None))
             accumulator.add_direct(sums, end - begin, pixels)
         if not refinements:
             break
-    return accumulator.light()
+    return replace(accumulator.light(), surface=surface)
 
 
 def _refinements(taken: Counts, required: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
