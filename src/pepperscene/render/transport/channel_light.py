@@ -57,19 +57,21 @@ class ChannelLight:
         """What computes indirect light, with the light at second hits if it is gathered."""
         if self.gathering is None:
             return functools.partial(_indirect, lengths=self.lengths)
-        return functools.partial(_gathered, cache=light_cache(self._paths), gathering=self.gathering)
+        return self._gathered_from(self._paths)
 
     @functools.cached_property
     def _independent_light(self) -> Callable[..., list[Any]]:
-        """The same for `independent`: of half of the paths, if light is gathered."""
-        if self.gathering is None:
-            return self._indirect_light
-        return functools.partial(_gathered, cache=light_cache(self._paths.half()), gathering=self.gathering)
+        """The same from half of the paths; see `measured_error`."""
+        return self._gathered_from(self._paths.half())
 
     @functools.cached_property
     def _paths(self) -> PathLight:
         assert self.gathering is not None
         return trace_paths(self.tables, self.lengths, self.seed, self.gathering)
+
+    def _gathered_from(self, paths: PathLight) -> Callable[..., list[Any]]:
+        assert self.gathering is not None
+        return functools.partial(_gathered, cache=light_cache(paths), gathering=self.gathering)
 
     def accumulator(self, height: int) -> SampleAccumulator:
         """An accumulator of this light in some rows, without samples."""
@@ -84,7 +86,7 @@ class ChannelLight:
     def independent(self, pixels: NDArray[np.int64], count: int, number: int) -> Images:
         """`(n, c)` means of all light in some pixels over samples that are independent of all others.
 
-        `number` is 0 or more; each has samples of its own.
+        `number` is 0 or more; each has samples of its own. Only for gathered light.
         """
         all_light, seed = functools.partial(_all_light, indirect=self._independent_light), self.seed
         for _ in range(number + 1):
@@ -111,8 +113,8 @@ class ChannelLight:
         hit = scene.scene.ray_intersect_preliminary(samples.ray, coherent=True)
         is_hit, face = hit.is_valid(), hit.prim_index
         dr.eval(is_hit, face)
-        number = scene.mesh.face_surface[np.where(is_hit, face, 0)] + 1
-        return np.where(is_hit, number, 0).astype(np.uint16)
+        number = 1 + scene.mesh.face_surface[np.where(is_hit, face, 0)].astype(np.uint16)
+        return np.where(is_hit, number, np.uint16(0))
 
 
 def _direct_light(tables: FrameTables, samples: Samples) -> list[list[Any]]:
