@@ -68,7 +68,7 @@ def test_means_are_drawn_to_those_of_larger_cells():
     ratios = np.asarray(cache.ratios).reshape(3, 2, 4)[..., 0]
 
     def shrunk(light: float, expected: float, parent: float) -> float:
-        weight = 8 * 2.0
+        weight = 5 * 2.0
         return (light + weight * parent) / (expected + weight)
 
     scene = 7.0 / 6.0

@@ -11,6 +11,7 @@ light per covered area, extended past the edge, and its result is multiplied by 
 
 Rare bright paths carry much of the energy, and the filter takes them for outliers: 3 to 8 % of the indirect
 light were lost. So each neighbourhood of the result is scaled to the traced mean of that neighbourhood.
+By daylight the light of leaves spreads over thin stems. So there each surface is scaled to its own mean, too.
 
 Measured on frame 125 of `barth2018`, 800x600: root mean square, in 8-bit codes, of the error that indirect
 light alone adds, from the products of the differences to two independent references, in which the references'

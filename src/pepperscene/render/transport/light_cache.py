@@ -25,7 +25,9 @@ from pepperscene.render.arrays import device_array
 from pepperscene.render.kernel.cells import SurfaceCells
 from pepperscene.render.variant import mitsuba_modules
 
-_PARENT_SAMPLES: Final = 8.0  # chosen: weight of a larger cell's mean
+_PARENT_SAMPLES: Final = 5.0
+"""Weight of a larger cell's mean, in samples. Chosen: with 8, the error of frames of `greenhouse` is .4 % less,
+but foil, which sees cells with few samples, is .2 codes brighter."""
 _WAVELENGTHS: Final = 4
 _TINY: Final = 1e-30
 
