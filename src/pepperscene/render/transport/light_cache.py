@@ -26,8 +26,8 @@ from pepperscene.render.kernel.cells import SurfaceCells
 from pepperscene.render.variant import mitsuba_modules
 
 _PARENT_SAMPLES: Final = 5.0
-"""Weight of a larger cell's mean, in samples. Chosen: with 8, a frame of `greenhouse` has .4 % less error, but
-foil, which sees cells with few samples, is .2 codes brighter."""
+"""Weight of a larger cell's mean, in samples. Chosen: with 8, a frame of `greenhouse` has .4 % less error,
+but foil, which sees cells with few samples, is .2 codes brighter."""
 _WAVELENGTHS: Final = 4
 _TINY: Final = 1e-30
 
