@@ -4,9 +4,9 @@ A sample of a pixel is the same in a strip as in the whole image. What differs: 
 of a strip is below the noise of that strip; and the denoiser sees a tile of a strip with `SURROUNDINGS`
 pixels around it, in all directions, for which the light of the neighbouring strips waits. What the denoiser
 takes from a whole image, its mean light and the kind of the filter, comes from a few of its rows, traced
-beforehand: so it is the same in all tiles. The means of surfaces by daylight are those of a tile: from one strip
-of 150 rows of 800 pixels to the next, drafts of `greenhouse` step by .1 to .3 codes, .1 without these means. A
-small image is a single strip, with nothing around it.
+beforehand: so it is the same in all tiles. The means of surfaces by daylight are those of a tile: from one
+strip of 150 rows of 800 pixels to the next, drafts of `greenhouse` step by .1 to .3 codes, by less than .1
+without these means. A small image is a single strip, with nothing around it.
 """
 
 from __future__ import annotations
