@@ -13,6 +13,8 @@ from pepperscene.geometry import concatenate_meshes
 from pepperscene.materials import lambertian_surface
 from pepperscene.render import Quality, Renderer
 from pepperscene.render.kernel.camera import spectral_response
+from pepperscene.render.transport import channel_light
+from pepperscene.render.transport.light_cache import light_cache
 from pepperscene.render.transport.path_lengths import has_mainly_sun
 from pepperscene.scene import assemble_scene, uniform_sky
 from pepperscene.scene.sky import Sun
@@ -48,6 +50,15 @@ def test_white_surfaces_in_an_even_sky_are_as_bright_as_the_sky(surface):
     ratio = electrons / empty
     assert ratio == pytest.approx(1.0, abs=0.05)
     assert ratio.mean() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_error_is_measured_with_half_of_the_paths(monkeypatch):
+    counts = []
+    monkeypatch.setattr(
+        channel_light, "light_cache", lambda paths: (counts.append(paths.side.size), light_cache(paths))[1]
+    )
+    Renderer(greenhouse()).render(camera(flash=False), ("electrons",), "draft", 1)
+    assert counts == [counts[0], (counts[0] + 1) // 2]
 
 
 def test_gathered_light_has_the_mean_of_paths():

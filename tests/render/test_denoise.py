@@ -14,6 +14,7 @@ from greenhouse import NM, camera, greenhouse, surfaces
 from scipy.ndimage import gaussian_filter
 from tracer import Tracer
 
+from pepperscene.classes import OrganClass
 from pepperscene.geometry import rectangle
 from pepperscene.render import Renderer
 from pepperscene.render.transport import strips
@@ -243,3 +244,20 @@ def test_relief_in_soft_light_is_kept():
     lost = np.corrcoef(truth, _detail(denoised(replace(light, normal=flat))))[0, 1]
     assert kept > 0.6
     assert kept > lost + 0.08
+
+
+@pytest.mark.parametrize("by_flash", [False, True])
+def test_light_that_is_gathered_knows_the_surfaces_of_pixels(monkeypatch, by_flash):
+    lights = []
+    monkeypatch.setattr(strips, "denoised", lambda light: (lights.append(light), denoised(light))[1])
+    scene, view = greenhouse(), camera(flash=by_flash)
+    frame = Renderer(scene).render(view, ("electrons", "class"), "draft", 2)
+    (light,) = lights
+    if by_flash:
+        assert light.surface is None
+        return
+    # Leaves are those of the label images, but for pixels that contain an edge.
+    is_leaf = np.isin(light.surface, 1 + np.flatnonzero(np.array(scene.mesh.surfaces) == "leaf"))
+    assert 0.1 < is_leaf.mean() < 0.9
+    assert np.mean(is_leaf == (frame["class"] == OrganClass.LEAF)) > 0.9
+    assert light.surface.max() <= len(scene.mesh.surfaces)
