@@ -57,7 +57,9 @@ def test_the_error_is_measured_with_half_of_the_paths(monkeypatch):
     monkeypatch.setattr(
         channel_light, "light_cache", lambda paths: (counts.append(paths.side.size), light_cache(paths))[1]
     )
-    Renderer(greenhouse()).render(camera(flash=False), ("electrons",), "draft", 1)
+    view = camera(flash=False)
+    view = replace(view, developing=replace(view.developing, white_balance="daylight"))
+    Renderer(greenhouse()).render(view, ("electrons",), "draft", 1)
     assert counts == [counts[0], (counts[0] + 1) // 2]
 
 
