@@ -103,18 +103,19 @@ class ChannelLight:
         all_light = functools.partial(_all_light, indirect=self._indirect_light)
         return sum_samples(self.tables, None, 0, count, self.seed, all_light, within=within)
 
-    def first_surfaces(self, within: tuple[int, int]) -> Surfaces:
-        """`(n,)` number of the surface at the first sample of the pixels within limits, from 1, or 0."""
+    def first_surfaces(self, rows: slice) -> Surfaces:
+        """`(h, w)` number of the surface at the first sample of each pixel of some rows, from 1, or 0."""
         mi, dr = mitsuba_modules()
-        start, end = within
-        pixel = dr.arange(mi.UInt32, end - start) + device_uint(start)
+        width = self.tables.rays.width
+        top, bottom, _ = rows.indices(self.tables.rays.height)
+        pixel = dr.arange(mi.UInt32, (bottom - top) * width) + device_uint(top * width)
         samples = Samples(self.tables, pixel, mi.UInt32(0), device_uint(self.seed & 0xFFFFFFFF))
         scene = self.tables.scene
         hit = scene.scene.ray_intersect_preliminary(samples.ray, coherent=True)
         is_hit, face = hit.is_valid(), hit.prim_index
         dr.eval(is_hit, face)
         number = 1 + scene.mesh.face_surface[np.where(is_hit, face, 0)].astype(np.uint16)
-        return np.where(is_hit, number, np.uint16(0))
+        return np.where(is_hit, number, np.uint16(0)).reshape(-1, width)
 
 
 def _direct_light(tables: FrameTables, samples: Samples) -> list[list[Any]]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -75,6 +75,8 @@ class LightPart:
             quality.most_bounces,
         )
         light = trace_rows(self.source, sampling, rows)
+        if quality.denoise and isinstance(self.source, ChannelLight) and self.source.gathering is not None:
+            light = replace(light, surface=self.source.first_surfaces(rows))
         return in_rows(light, None if self.share is None else self.share[rows])
 
     def independent(self, samples: int, pixels: NDArray[np.int64], number: int) -> Image:

@@ -205,11 +205,8 @@ def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None))
         remaining = sampling.samples - first
         accumulator.add_direct(light.sum_direct(None, first, remaining, within), remaining)
 
-    surface = None
-    if isinstance(light, ChannelLight) and light.gathering is not None:
-        surface = light.first_surfaces(within).reshape(bottom - top, width)
     if not light.tables.has_lights or sampling.required is None:
-        return replace(accumulator.light(), surface=surface)
+        return accumulator.light()
 
     # Each round estimates the need anew from all samples so far, and continues the sequences of pixels that
     # need more: those with the same first and last sample are traced together.
@@ -220,7 +217,7 @@ def trace_rows(light: FrameLight, sampling: Sampling, rows: slice = slice(None))
             accumulator.add_direct(sums, end - begin, pixels)
         if not refinements:
             break
-    return replace(accumulator.light(), surface=surface)
+    return accumulator.light()
 
 
 def _refinements(taken: Counts, required: Counts) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
